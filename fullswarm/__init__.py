@@ -8,6 +8,7 @@ Further files:
 
 ``__main__.py``    ``python -m fullswarm``: the same entry point as the ``fullswarm`` command, and that of a robot's
                    unit
+``audit/``         The audit log: who asked what of which robots, when, in a chain of hashes
 ``bringup/``       Brings up a robot: find it, test it, check this machine and the robot's computer
 ``bus/``           Publish and subscribe
 ``cli/``           The ``fullswarm`` command: one file per noun that parses, calls and prints
@@ -24,6 +25,7 @@ Further files:
 ``files.py``       Replaces files in one step: a reader finds the old content or the new one
 ``fitness.py``     Decides whether a robot is fit for a request: capabilities, limits, make, charge
 ``geometry.py``    Angles, the unicycle map and frame changes
+``identity/``      Who a process is on the bus: roles, certificates, and which of them are valid
 ``kernels.py``     Kernels: small loops over arrays that run as plain Python on a robot and compiled in a lockstep
                    trial
 ``keys.py``        Every key expression of the bus

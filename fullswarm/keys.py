@@ -25,6 +25,7 @@ key                                                     message                w
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
 ``<swarm>/clock/<host>/probe``                          ClockProbe             agent → core
 ``<swarm>/clock/<host>/reply``                          ClockReply             core → agent
+``<swarm>/version/<process>``                           Version                agents, core, world → all
 ``<swarm>/lease/request``                               LeaseRequest           operator → core
 ``<swarm>/lease/holders``                               Leases                 core → all
 ``<swarm>/mission/request``                             MissionRequest         operator → core
@@ -33,6 +34,7 @@ key                                                     message                w
 ``<swarm>/memory/<host>``                               BehaviourMemory        agent → operators, trials
 ``<swarm>/actuators/<host>``                            ActuatorReport         agent → operators
 ``<swarm>/reload/<host>``                               FileReload             agent, core → operators
+``<swarm>/processes/<host>``                            ProcessReport          supervisor → operators
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
 ``<swarm>/stop``                                        StopRequest            any → agents, core
 ``<swarm>/estop``                                       EStop                  any → agents, core
@@ -168,6 +170,10 @@ class Keys:
         """The core's time."""
         return f"{self.swarm}/clock/{host}/reply"
 
+    def version(self, process: str = ANY) -> str:
+        """Which versions of messages a process speaks."""
+        return f"{self.swarm}/version/{process}"
+
     @property
     def lease_request(self) -> str:
         """Requests of operators for the authority over robots."""
@@ -203,6 +209,10 @@ class Keys:
     def reload(self, host: str = ANY) -> str:
         """What became of changed files of behaviours under development."""
         return f"{self.swarm}/reload/{host}"
+
+    def processes(self, host: str = ANY) -> str:
+        """The processes that a supervisor keeps running."""
+        return f"{self.swarm}/processes/{host}"
 
     def intervention(self, host: str = ANY) -> str:
         """What the safety filter changes."""

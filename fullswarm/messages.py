@@ -464,13 +464,26 @@ class ClockProbe(Message, frozen=True, kw_only=True):
     sent_s: Stamp
 
 
-class ClockReply(Message, frozen=True, kw_only=True):
+class ClockReply(Message, frozen=True, kw_only=True, tag="ClockReply/2"):
     """The core's time, at once: half the round trip ago, as nearly as `host` can tell."""
 
     host: str
     sent_s: Stamp  # of the probe
     core: str  # which core process
     core_s: Stamp
+    wall_s: Stamp = 0.0  # the core's time of day, seconds since 1970
+
+
+class Version(Message, frozen=True, kw_only=True, forbid_unknown_fields=False):
+    """Which messages a process speaks, 1 Hz. Its form never changes, so that processes of any release can read it.
+
+    Later releases may add fields; a reader ignores those that it does not know.
+    """
+
+    name: ShortText  # of the process: a robot's id, "core", …
+    software: ShortText
+    kinds: Annotated[dict[ShortText, Annotated[int, Meta(ge=0, le=2**31)]], Meta(max_length=512)]  # → version
+    stamp_s: Stamp = 0.0
 
 
 # ---------------------------------------------------------------- agents -> all
@@ -644,6 +657,30 @@ class FileReload(Message, frozen=True, kw_only=True):
     problem: Text = ""  # why it does not load, and what ran before goes on; empty: it was loaded
 
 
+ProcessPhase = Literal["starting", "running", "frozen", "ended", "given_up"]
+ProcessEnd = Literal["", "exit", "signal", "frozen"]
+
+
+class ProcessState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One process that a supervisor keeps running; part of ProcessReport."""
+
+    name: ShortText  # "hub", "core", …, a robot's id
+    phase: ProcessPhase
+    since_s: Duration = 0.0  # in this phase
+    starts: Count = 0
+    ended: ProcessEnd = ""  # how it ended last: by itself, by a signal, killed as frozen
+    code: Annotated[int, Meta(ge=0, le=2**31)] = 0  # of that end: exit code or number of the signal
+    text: Text = ""  # what it wrote last, if it was given up
+
+
+class ProcessReport(Message, frozen=True, kw_only=True):
+    """The processes that one supervisor (`up`, `demo`) keeps running, on change and 2 Hz: for people."""
+
+    host: str  # the computer
+    processes: Annotated[tuple[ProcessState, ...], Meta(max_length=MOST)]
+    stamp_s: Stamp = 0.0
+
+
 class Interventions(Message, frozen=True, kw_only=True):
     """What the safety filter changes now, at 5 Hz while it changes anything, then once empty. Columns of equal length.
 
@@ -762,7 +799,7 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     halt: Halt | None = None  # None: it has started something since the newest stop
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/5"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/6"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str
@@ -773,6 +810,8 @@ class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/5"):
     late_ticks: Count = 0  # more than 1 ms late
     missed_ticks: Count = 0  # whole periods skipped
     worst_late_s: Duration = 0.0
+    wall_offset_s: Stamp | None = None  # the time of day of this computer less the core's; None: not known
+    round_trip_s: KnownSigma = -1.0  # to the core and back, the shortest of the last seconds; -1: not known
     stamp_s: Stamp = 0.0
 
 
@@ -858,6 +897,20 @@ class ParamChanged(Message, frozen=True, kw_only=True):
 
     layer: str
     entry: ParamEntry
+
+
+DRIVING: tuple[type[Message], ...] = (
+    ControlRequest, ControlAck, CentralisedRequest, CentralisedCommands, Command, StopRequest, EStop, EStopReceipt,
+    PoseFix, ObjectFix, Heartbeat, ClockProbe, ClockReply, RobotStates, Reception, RelayedStates, BehaviourBroadcast,
+    RobotProfiles, SearchedDiscs, SeenObstacles, HealthReport,
+)  # fmt: skip
+"""What must be of one version in all processes that drive robots; the rest is shown to people."""
+
+
+def versions() -> dict[str, int]:
+    """Return the messages of `DRIVING` with their versions, as :class:`Version` states them."""
+    tags = (str(kind.__struct_config__.tag).partition("/") for kind in DRIVING)
+    return {name: int(number) for name, _, number in tags}
 
 
 FITS: dict[type[Message], Callable[[Any], bool]] = {

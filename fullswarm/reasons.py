@@ -37,6 +37,7 @@ class Code(enum.StrEnum):
     OVERLAP = "overlap"  # robot: the other one
     FRAME = "frame"
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
+    VERSION = "version"  # process, software, own, kinds
     UNSURE = "unsure"
     SETTLED = "settled"
     SILENT = "silent"  # robots: their names
@@ -97,6 +98,8 @@ TEXTS: dict[Code, str] = {
     "origin = [latitude, longitude] into the fleet file; until then it can be driven by hand only",
     Code.FOREIGN_FRAME: "the position of '{host}' counts from where it was switched on: write [world] origin = "
     "[latitude, longitude] into its fleet file; until then robots can be driven by hand only",
+    Code.VERSION: "'{process}' runs fullswarm {software}, this one {own}, and their messages differ ({kinds}): update "
+    "the older one (a robot with `fullswarm update`); until then robots can be driven by hand only",
     Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
     "it continues once that is back",
     Code.SETTLED: "arrived as near as possible: the places nearer to its goal are taken, or there is no way to them; "

@@ -15,6 +15,12 @@ settings.register_profile("searching", USUAL)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _state(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep what survives processes (audit logs, latches) out of the user's own state folder."""
+    os.environ.setdefault("FULLSWARM_STATE", str(tmp_path_factory.mktemp("state")))
+
+
 @pytest.fixture(autouse=True)
 def _usual_logs() -> Iterator[None]:
     """Undo what a command that runs within a test has changed: it sends its log lines elsewhere."""

@@ -11,8 +11,10 @@ than others, or came through the core.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from fullswarm.bus.base import Bus
+from fullswarm.clock import wall_time_s
 from fullswarm.keys import Keys
 from fullswarm.messages import ClockProbe, ClockReply, RobotStates
 from fullswarm.runtime import Scheduler
@@ -32,17 +34,23 @@ class CoreClock:
     Parameters
     ----------
     assumed_s : delay of a state where it is not measured
+    wall_s : this computer's time of day, seconds since 1970
 
     Attributes
     ----------
     core : name of the core's process; empty: no reply yet
     offset_s : the core's time less this computer's
     round_trip_s : of the reply by which that is known
+    wall_offset_s : this computer's time of day less the core's, by the newest reply; None: no reply yet
     """
 
-    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, assumed_s: float) -> None:
+    def __init__(
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, assumed_s: float,
+        wall_s: Callable[[], float] = wall_time_s,
+    ) -> None:  # fmt: skip
         self._bus, self._keys, self._scheduler, self._host = bus, keys, scheduler, host
-        self._assumed_s = assumed_s
+        self._assumed_s, self._wall_s = assumed_s, wall_s
+        self.wall_offset_s: float | None = None
         self.core, self.offset_s, self.round_trip_s = "", 0.0, math.inf
         self._before_s = math.inf  # shortest round trip of the window before
         self._before_offset_s = 0.0
@@ -78,6 +86,7 @@ class CoreClock:
         round_trip_s = now_s - reply.sent_s
         if reply.host != self._host or not 0.0 <= round_trip_s <= LONGEST_S:
             return
+        self.wall_offset_s = self._wall_s() - reply.wall_s - 0.5 * round_trip_s
         if reply.core != self.core:
             self.core, self._replies = reply.core, 0
             self._before_s = self._recent_s = math.inf

@@ -43,6 +43,7 @@ from fullswarm.agent.telemetry.remembered import MemoryReporter
 from fullswarm.agent.telemetry.reports import Reports
 from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.bus.base import Bus, CountingBus
+from fullswarm.clock import wall_time_s
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
 from fullswarm.kernels import Array
@@ -67,6 +68,7 @@ class AgentNode:
     ----------
     start : (n, 3) start poses for robots that sense odometry only
     loop : how the runtime keeps its deadlines, for the health report
+    wall_s : this computer's time of day, seconds since 1970
     """
 
     def __init__(
@@ -79,6 +81,7 @@ class AgentNode:
         start: Array,
         loop: Callable[[], LoopStats],
         thresholds: Thresholds | None = None,
+        wall_s: Callable[[], float] = wall_time_s,
     ) -> None:
         check_stopping(config, fleet.descriptions)
         self._bus = bus = CountingBus(bus)
@@ -109,7 +112,7 @@ class AgentNode:
         top_speed = self.controller.speed_limit.tolist()
         extra = np.array([each.stop_extra(top) for each, top in zip(limits, top_speed, strict=True)]).reshape(-1, 2)
         self.neighbours = _neighbours(config, fleet, self.controller, accel, extra)
-        self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
+        self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s, wall_s)
         self.neighbours.delay_of = self.core_clock.delay_s
         self._state_subscriptions = CellSubscriptions(
             bus, keys.state, RobotStates, config.state_cell_m, self._on_states
@@ -411,7 +414,7 @@ class AgentNode:
 
     def health(self, now_s: float) -> HealthReport:
         """Return the health of all robots."""
-        return self._reports.health(self._loop(), __version__, now_s)
+        return self._reports.health(self._loop(), __version__, now_s, self.core_clock)
 
     def publish_measurements(self, *, whole: bool = True) -> None:
         """Publish what the robots have measured of themselves; the grid of coverage not always unless `whole`."""

@@ -10,6 +10,7 @@ file                        what it does
 ``machine.py``              the machine's own checks: Python, extras, ports, gamepads, clocks, disk, processor
 ``preflight.py``            `doctor --robot`: one robot before it drives: on the bus, and by its e-stop
 ``preflight_ssh.py``        the same over SSH: its computer's card, power, heat, clock, port, software, units
+``certificates.py``         the certificates that a fleet needs: issues all, checks that none is missing or expires
 ``checks.py``               one line of a check-up, and how all of them are shown
 ``emulate.py``              `emulate`: one emulated robot on a real port, with faults on request
 ``info.py``                 `info`: what a bug report needs

@@ -9,11 +9,13 @@ Files:
 
 ``base.py``            the interface of a bus, wrappers that name the sender or count, matching of key expressions
 ``codec.py``           messages as bytes: MessagePack, with errors that name what does not match
-``endpoint.py``        where the hub listens: the default address, its syntax, and which computers reach it
+``endpoint.py``        where the hub listens: default address, syntax, which computers reach it, whether secured
 ``hub.py``             the hub: a zenoh router in a process of its own; agents, core and operators are its clients
 ``local.py``           the bus within one process: every message is delivered once, in the order of publishing
 ``network_faults.py``  injected faults of the network: their text, and a bus that loses, delays, doubles, reorders and
                        partitions
+``tls.py``             settings of a secured link, and why a client and a secured hub do not connect
+``versions.py``        finds processes of another release, whose messages this one cannot read
 ``zenoh_bus.py``       the live bus: a client's session with the hub, its settings and subscriptions
 """
 

@@ -1,4 +1,4 @@
-"""Where the hub listens: the default address, its syntax, and which computers reach it."""
+"""Where the hub listens: the default address, its syntax, which computers reach it, and whether it is secured."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from fullswarm.errors import ConfigError
 DEFAULT_HUB = "tcp/127.0.0.1:7447"
 """The hub of this machine (7447 is zenoh's usual port)."""
 
-_ENDPOINT = re.compile(r"tcp/(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[A-Za-z0-9._-]+)):(?P<port>[0-9]{1,5})\Z")
+SECURED = "tls/"
+"""How the endpoint of a secured hub starts: each side proves its name by a certificate, and the link is encrypted."""
+
+_ENDPOINT = re.compile(r"(?:tcp|tls)/(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[A-Za-z0-9._-]+)):(?P<port>[0-9]{1,5})\Z")
 
 
 def host_of(endpoint: str) -> str:
-    """Return the host of an endpoint such as ``tcp/127.0.0.1:7447`` or ``tcp/[::1]:7447``.
+    """Return the host of an endpoint such as ``tcp/127.0.0.1:7447``, ``tcp/[::1]:7447`` or ``tls/10.0.0.2:7447``.
 
     Raises
     ------
@@ -24,7 +27,8 @@ def host_of(endpoint: str) -> str:
     match = _ENDPOINT.match(endpoint)
     if match is None or not 0 < int(match["port"]) < 65536:
         raise ConfigError(
-            f"'{endpoint}' is not the address of a hub", hint=f"write tcp/<host>:<port>, like {DEFAULT_HUB}"
+            f"'{endpoint}' is not the address of a hub",
+            hint=f"write tcp/<host>:<port>, like {DEFAULT_HUB}, or tls/<host>:<port> if it is secured",
         )
     return str(match["six"] or match["name"])
 
@@ -42,19 +46,26 @@ def is_loopback(host: str) -> bool:
     return address.is_loopback
 
 
+def is_secured(endpoint: str) -> bool:
+    """Tell whether the hub at `endpoint` asks for certificates."""
+    return endpoint.startswith(SECURED)
+
+
 def check_endpoint(endpoint: str, insecure_network: bool) -> None:
-    """Refuse an address that other machines reach, unless the user allows it.
+    """Refuse an address that other machines reach without certificates, unless the user allows it.
 
     Raises
     ------
     ConfigError
-        Not an address, or not a loopback one although `insecure_network` is False.
+        Not an address, or one that other machines reach, without TLS although `insecure_network` is False.
     """
-    if not is_loopback(host_of(endpoint)) and not insecure_network:
-        raise ConfigError(
-            "this address is open to the network, and the bus has no authentication: any computer on that network "
-            "could drive the robots",
-            where=endpoint,
-            hint=f"use {DEFAULT_HUB}, or allow it with --insecure-network (insecure_network=True) on a network "
-            "that you trust",
-        )
+    if is_loopback(host_of(endpoint)) or is_secured(endpoint) or insecure_network:
+        return
+    raise ConfigError(
+        "this address is open to the network without authentication: any computer on that network could drive the "
+        "robots",
+        where=endpoint,
+        hint=f"run `fullswarm keys init`, then listen with `--listen {SECURED}{endpoint.partition('/')[2]}` (in a "
+        "fleet file: hub.endpoint); without keys only with --insecure-network (insecure_network=True), on a network "
+        "that you trust",
+    )

@@ -2,6 +2,10 @@
 
 Messages arrive on zenoh's receive thread, are decoded there and put into the node's mailbox; no Python thread
 is left that could keep a process from ending. Messages between nodes of one process do not touch the network.
+
+On the wire the sender is part of the key: what a node publishes on ``<swarm>/<rest>`` travels as
+``<swarm>/<sender>/<rest>``, and a subscription to ``<swarm>/<rest>`` is one to ``<swarm>/*/<rest>``. So a secured hub
+can restrict each certificate to its own name.
 """
 
 from __future__ import annotations
@@ -10,16 +14,21 @@ import atexit
 import json
 import threading
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import structlog
 import zenoh
 
 from fullswarm.bus.base import Delivery, Subscription, matches
 from fullswarm.bus.codec import decode, encode
-from fullswarm.bus.endpoint import DEFAULT_HUB, host_of
+from fullswarm.bus.endpoint import DEFAULT_HUB, host_of, is_secured
 from fullswarm.clock import MonotonicClock
-from fullswarm.errors import ConfigError, MessageError, Unreachable
+from fullswarm.errors import ConfigError, FullswarmError, MessageError, Unreachable
+from fullswarm.identity import Credentials
+from fullswarm.identity.access import ACCESS_KEY
+from fullswarm.identity.binding import Check, check_of
+from fullswarm.identity.credentials import UNNAMED
+from fullswarm.keys import ANY, ROBOT_ID
 from fullswarm.messages import Message
 from fullswarm.runtime import Mailbox
 
@@ -37,14 +46,19 @@ _STOPPING = frozenset({"stop", "estop", "heartbeat"})
 
 _log = structlog.get_logger("fullswarm.bus")
 
-LONGEST_NAME = 128
-"""Bytes of a sender's name; what is longer is not one."""
-
 RETRY_FIRST_S, RETRY_LAST_S, RETRY_FACTOR = 0.1, 0.5, 2
 CLOSE_S = 0.5
 """Longest wait for a session to end: with a frozen hub zenoh itself would take nine seconds."""
 LEAVE_S = 1.0
 """Longest wait at the end of the process, which aborts if a thread returns from zenoh into the shutdown."""
+
+ASK_FIRST_S, ASK_TIMEOUT_S = 0.02, 1.0
+"""First wait, after a link to a secured hub is up, before it is asked once more whether it admits this process."""
+EXPLAIN_AFTER_S, EXPLAIN_EVERY_S = 2.0, 30.0
+"""A link to a secured hub that is down so long has its cause looked for, logged once per cause."""
+
+OLD_HEARTBEATS = "*/heartbeat/*"
+"""On the wire of versions without the sender's chunk. They and this version do not receive each other's messages."""
 
 _COMMON: dict[str, object] = {
     # No discovery: the default settings join any zenoh on the local network.
@@ -76,9 +90,33 @@ def reason_of(error: zenoh.ZError) -> str:
     return str(error).split(" at /")[0]
 
 
-def client_config(hub: str, *, multicast: bool) -> zenoh.Config:
-    """Return the configuration of a client of the hub at the endpoint `hub`."""
+def wire_key(key: str, sender: str) -> str:
+    """Return a node's key, or key expression, as it is on the wire: with the chunk of the sender after the swarm's."""
+    swarm, slash, rest = key.partition("/")
+    return f"{swarm}/{sender}{slash}{rest}"
+
+
+def client_config(hub: str, *, multicast: bool, credentials: Credentials | None = None) -> zenoh.Config:
+    """Return the configuration of a client of the hub at the endpoint `hub`.
+
+    Raises
+    ------
+    ConfigError
+        The hub is secured and there are no credentials, or they can never work.
+    """
+    secured: dict[str, object] = {}
+    if is_secured(hub):
+        from fullswarm.bus.tls import link_settings
+
+        if credentials is None:
+            raise ConfigError(
+                "this hub is secured, and this program has no certificate",
+                where=hub,
+                hint="make one with `fullswarm keys issue NAME --role ROLE`",
+            )
+        secured = link_settings(credentials, listens=False)
     return config(
+        **secured,
         mode="client",
         connect__endpoints=[hub],
         connect__retry={
@@ -103,17 +141,34 @@ class HubLink:
         Endpoint of the hub.
     multicast
         Also search for routers by multicast.
+    credentials
+        Of a secured hub, else None. Then `up` also means that the hub has admitted this process: it links to every
+        certificate of its authority, and passes on nothing of one that its list does not have.
     on_open
         Called once, on the link's thread, with the open session and before `up` becomes true.
+
+    Raises
+    ------
+    ConfigError
+        The hub is secured and there are no credentials, or they can never work.
     """
 
-    def __init__(self, hub: str, *, multicast: bool, on_open: Callable[[zenoh.Session], None]) -> None:
+    def __init__(
+        self,
+        hub: str,
+        *,
+        multicast: bool,
+        on_open: Callable[[zenoh.Session], None],
+        credentials: Credentials | None = None,
+    ) -> None:
         self.hub, self.up = hub, False
-        self._on_open = on_open
-        self._config = client_config(hub, multicast=multicast)
+        self._on_open, self._credentials = on_open, credentials if is_secured(hub) else None
+        self._config = client_config(hub, multicast=multicast, credentials=credentials)
         self._routers: set[str] = set()
+        self._admitted = self._credentials is None
+        self._logged = ""
         self._lock = threading.Lock()
-        self._is_up, self._closing = threading.Event(), threading.Event()
+        self._is_up, self._closing, self._changed = threading.Event(), threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._serve, name="fullswarm-bus", daemon=True)
         # Without it a message that arrives while the interpreter shuts down finds no interpreter.
         atexit.register(self._leave)
@@ -128,19 +183,69 @@ class HubLink:
                 self._on_open(session)
                 listener = zenoh.handlers.Callback(self._on_event, indirect=False)
                 session.info.declare_transport_events_listener(listener, history=True)
-            self._closing.wait()
+            if self._credentials is None:
+                self._closing.wait()
+            else:
+                self._ask_for_access(session)
         finally:
             untyped(session.close)
 
     def _open(self) -> zenoh.Session | None:
-        delay_s = RETRY_FIRST_S
+        delay_s, failed_s = RETRY_FIRST_S, 0.0
         while not self._closing.is_set():
             try:
                 return zenoh.open(self._config)
-            except zenoh.ZError:  # no hub listens there yet
+            except zenoh.ZError:  # no hub listens there yet, or one that refuses this client
+                if failed_s >= EXPLAIN_AFTER_S:
+                    self._log_cause()
+                    failed_s -= EXPLAIN_EVERY_S
                 self._closing.wait(delay_s)
+                failed_s += delay_s
                 delay_s = min(delay_s * RETRY_FACTOR, RETRY_LAST_S)
         return None
+
+    def _ask_for_access(self, session: zenoh.Session) -> None:
+        """Ask after each connection whether the hub's list has this certificate, until it has."""
+        down_s, delay_s = 0.0, ASK_FIRST_S
+        while not self._closing.is_set():
+            with self._lock:
+                linked, admitted = bool(self._routers), self._admitted
+                self._changed.clear()
+            if linked and (admitted or self._ask(session)):
+                self._changed.wait()
+                down_s, delay_s = 0.0, ASK_FIRST_S
+                continue
+            if down_s >= EXPLAIN_AFTER_S:
+                self._log_cause()
+                down_s -= EXPLAIN_EVERY_S
+            if self._changed.wait(delay_s):
+                delay_s = ASK_FIRST_S
+            else:
+                down_s, delay_s = down_s + delay_s, min(delay_s * RETRY_FACTOR, RETRY_LAST_S)
+
+    def _ask(self, session: zenoh.Session) -> bool:
+        if not any(reply.ok is not None for reply in session.get(ACCESS_KEY, timeout=ASK_TIMEOUT_S)):
+            return False
+        with self._lock:
+            if self._changed.is_set():  # the link that the answer came through is gone
+                return False
+            self._admitted, self._logged = True, ""
+            self._set_up()
+        return True
+
+    def _log_cause(self) -> None:
+        cause = str(self._cause() or "")
+        if cause and cause != self._logged and not self._closing.is_set():
+            _log.warning("not connected to the hub", cause=cause)
+            self._logged = cause
+
+    def _cause(self) -> FullswarmError | None:
+        """Return why there is no connection, as far as it shows. Connects to the hub on its own for that."""
+        from fullswarm.bus.tls import explain, not_in_list
+
+        if self._credentials is not None and self._routers:
+            return not_in_list(self._credentials, self.hub)
+        return explain(self.hub, self._credentials)
 
     def _on_event(self, event: zenoh.TransportEvent) -> None:
         """Record a transport that connected or disconnected; runs on zenoh's threads."""
@@ -150,11 +255,16 @@ class HubLink:
                 self._routers.add(zid)
             else:
                 self._routers.discard(zid)
-            self.up = bool(self._routers) and not self._closing.is_set()
-            if self.up:
-                self._is_up.set()
-            else:
-                self._is_up.clear()
+            self._admitted = self._credentials is None
+            self._set_up()
+            self._changed.set()
+
+    def _set_up(self) -> None:
+        self.up = bool(self._routers) and self._admitted and not self._closing.is_set()
+        if self.up:
+            self._is_up.set()
+        else:
+            self._is_up.clear()
 
     def wait(self, timeout_s: float) -> None:
         """Return once the link is connected.
@@ -162,11 +272,14 @@ class HubLink:
         Raises
         ------
         Unreachable
-            It is not within `timeout_s`, or the link is closed.
+            It is not within `timeout_s`, or the link is closed. Names the cause, if the hub is there and refuses.
         """
         if self._closing.is_set():
             raise Unreachable("this bus is closed", where=self.hub)
         if not self._is_up.wait(timeout_s):
+            cause = self._cause()
+            if cause is not None:
+                raise cause
             raise Unreachable(
                 "no hub answers",
                 where=self.hub,
@@ -176,6 +289,7 @@ class HubLink:
     def close(self) -> None:
         """End the session; return within `CLOSE_S` even when the hub is frozen. Closing twice is fine."""
         self._closing.set()
+        self._changed.set()
         with self._lock:
             self.up = False
             self._is_up.clear()
@@ -186,6 +300,13 @@ class HubLink:
     def _leave(self) -> None:
         self.close()
         self._thread.join(LEAVE_S)
+
+
+class Origin(NamedTuple):
+    """What the key of a message on the wire says: the sender's name, and the check of messages that it publishes."""
+
+    sender: str
+    check: Check | None
 
 
 class Inbox:
@@ -203,6 +324,8 @@ class Inbox:
         Give the handler a :class:`~fullswarm.bus.base.Delivery` in place of the message.
     urgent
         Run the handler on zenoh's thread when the node is idle (see :meth:`Mailbox.run_now`).
+    secured
+        The hub guarantees the sender's name: check all fields of messages that depend on it.
     on_bad
         Called with the key and the error of a message that is dropped.
     on_close
@@ -224,6 +347,7 @@ class Inbox:
         latest: bool,
         with_sender: bool,
         urgent: bool,
+        secured: bool,
         on_bad: Callable[[str, MessageError], None],
         on_close: Callable[[Inbox], None],
     ) -> None:
@@ -234,7 +358,8 @@ class Inbox:
         self.expression, self.kind = expression, kind
         self._mailbox, self._handler, self._latest = mailbox, handler, latest
         self._on_bad, self._on_close = on_bad, on_close
-        self._urgent, self._with_sender = urgent, with_sender
+        self._urgent, self._with_sender, self._secured = urgent, with_sender, secured
+        self._origins: dict[str, Origin] = {}
         self._waiting: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._declared: zenoh.Subscriber[None] | None = None
@@ -245,22 +370,37 @@ class Inbox:
         if self._active:
             # Direct: zenoh's own handler thread is not a daemon, a process with one would never end.
             callback = zenoh.handlers.Callback(self.receive, indirect=False)
-            self._declared = session.declare_subscriber(self.expression, callback, allowed_origin=zenoh.Locality.REMOTE)
+            expression = wire_key(self.expression, ANY)
+            self._declared = session.declare_subscriber(expression, callback, allowed_origin=zenoh.Locality.REMOTE)
 
     def receive(self, sample: zenoh.Sample) -> None:
         """Take a message from another process."""
+        key = str(sample.key_expr)
+        origin = self._origins.get(key) or self._origin(key)
         try:
             message = decode(sample.payload.to_bytes(), self.kind)
+            if origin.check is not None and (refusal := origin.check(message)):
+                raise MessageError(refusal, where=self.kind.__name__)
         except MessageError as error:
-            self._on_bad(str(sample.key_expr), error)
+            self._on_bad(key, error)
             return
-        item = Delivery(message, _sender(sample)) if self._with_sender else message
+        item = Delivery(message, origin.sender) if self._with_sender else message
         if self._urgent and self._mailbox.run_now(self._deliver, item):
             return
         if self._latest:
-            self._replace(str(sample.key_expr), item)
+            self._replace(key, item)
         else:
             self._mailbox.put(self._deliver, item)
+
+    def _origin(self, key: str) -> Origin:
+        _, _, rest = key.partition("/")
+        name, _, rest = rest.partition("/")
+        sender = "" if name == UNNAMED else name
+        with self._lock:
+            if len(self._origins) >= CACHED_KEYS:
+                self._origins.clear()
+            self._origins[key] = origin = Origin(sender, check_of(rest, sender, secured=self._secured))
+        return origin
 
     def offer(self, key: str, message: Message, sender: str) -> None:
         """Take a message of the same process, as it is."""
@@ -305,15 +445,6 @@ class Inbox:
             untyped(declared.undeclare)
 
 
-def _sender(sample: zenoh.Sample) -> str:
-    """Return the sender's name that travels as the attachment; empty where there is none, or it is not a name."""
-    attached = sample.attachment
-    if attached is None:
-        return ""
-    data = attached.to_bytes()
-    return data.decode("ascii", "replace") if len(data) <= LONGEST_NAME else ""
-
-
 def is_urgent(key: str) -> bool:
     """Tell whether messages of `key` start, steer or stop robots.
 
@@ -336,37 +467,49 @@ class ZenohBus:
     mailbox
         The runtime's.
     hub
-        Endpoint of the hub, ``tcp/<host>:<port>``.
+        Endpoint of the hub, ``tcp/<host>:<port>``, or ``tls/<host>:<port>`` if it is secured.
+    credentials
+        Of a secured hub: the certificate's name is the sender of all that this bus publishes.
     multicast
         Also search for routers by multicast; off, because it joins any zenoh on the network.
 
     Attributes
     ----------
     dropped : int
-        Messages that came in and were not of the type, version, form or range that was subscribed to.
+        Messages that came in and were not of the type, version, form or range that was subscribed to, or named
+        another host, robot or operator than their sender.
     unsent : int
         Messages published while no hub was connected.
 
     Raises
     ------
     ConfigError
-        `hub` is not an address.
+        `hub` is not an address, or a secured one and there are no credentials, or they can never work.
     """
 
-    def __init__(self, mailbox: Mailbox, *, hub: str = DEFAULT_HUB, multicast: bool = False) -> None:
+    def __init__(
+        self,
+        mailbox: Mailbox,
+        *,
+        hub: str = DEFAULT_HUB,
+        credentials: Credentials | None = None,
+        multicast: bool = False,
+    ) -> None:
         host_of(hub)
+        self._secured = is_secured(hub)
+        self._name = credentials.name if credentials is not None and self._secured else ""
         self.dropped = self.unsent = 0
         self._mailbox = mailbox
         self._inboxes: list[Inbox] = []
         self._routes: dict[str, tuple[Inbox, ...]] = {}
-        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
         self._logged: set[str] = set()
         self._clock, self._logged_s = MonotonicClock(), 0.0
         self._session: zenoh.Session | None = None
         self._closed = False
         # Two locks: zenoh's threads count while another thread holds the first one inside zenoh.
         self._lock, self._count_lock = threading.Lock(), threading.Lock()
-        self._link = HubLink(hub, multicast=multicast, on_open=self._on_open)
+        self._link = HubLink(hub, multicast=multicast, on_open=self._on_open, credentials=credentials)
 
     def publish(self, key: str, message: Message, *, sender: str = "") -> None:
         """Hand `message` to own subscribers and to the hub; about 2 µs, never blocks."""
@@ -378,12 +521,13 @@ class ZenohBus:
         if not self._link.up:
             self.unsent += 1
             return
-        publisher = self._publishers.get(key) or self._publisher(key)
+        name = self._name or sender
+        publisher = self._publishers.get((name, key)) or self._publisher(name, key)
         if publisher is None:
             self.unsent += 1
             return
         try:
-            publisher.put(encode(message), attachment=sender or None)
+            publisher.put(encode(message))
         except zenoh.ZError:  # another thread closed the bus just now
             self.unsent += 1
 
@@ -410,6 +554,7 @@ class ZenohBus:
             latest=latest,
             with_sender=with_sender,
             urgent=is_urgent(expression),
+            secured=self._secured,
             on_bad=self._drop,
             on_close=self._forget,
         )
@@ -450,6 +595,12 @@ class ZenohBus:
                 self._session = session
                 for inbox in self._inboxes:
                     inbox.declare(session)
+                if not self._secured:
+                    callback = zenoh.handlers.Callback(self._on_old_version, indirect=False)
+                    session.declare_subscriber(OLD_HEARTBEATS, callback, allowed_origin=zenoh.Locality.REMOTE)
+
+    def _on_old_version(self, sample: zenoh.Sample) -> None:
+        self._drop(str(sample.key_expr), MessageError("a process of an older version of fullswarm: update it"))
 
     def _route(self, key: str) -> tuple[Inbox, ...]:
         with self._lock:
@@ -459,8 +610,11 @@ class ZenohBus:
             self._routes[key] = route
         return route
 
-    def _publisher(self, key: str) -> zenoh.Publisher | None:
-        """Declare a publisher: a put then costs 1 µs instead of 25, and sends nothing while there is no subscriber."""
+    def _publisher(self, sender: str, key: str) -> zenoh.Publisher | None:
+        """Declare a publisher: a put then costs 1 µs instead of 25, and sends nothing while there is no subscriber.
+
+        A sender whose name is not one chunk of a key is published without a name.
+        """
         with self._lock:
             if self._session is None:
                 return None
@@ -468,7 +622,7 @@ class ZenohBus:
                 untyped(self._publishers.pop(next(iter(self._publishers))).undeclare)
             try:
                 publisher = self._session.declare_publisher(
-                    key,
+                    wire_key(key, sender if ROBOT_ID.match(sender) else UNNAMED),
                     congestion_control=zenoh.CongestionControl.DROP,  # a slow reader must not stop a control loop
                     priority=zenoh.Priority.REAL_TIME if is_urgent(key) else zenoh.Priority.DATA,
                     allowed_destination=zenoh.Locality.REMOTE,
@@ -476,7 +630,7 @@ class ZenohBus:
             except zenoh.ZError as error:  # a key made from another process's message must not end this one
                 self._log_once(key, f"cannot publish: {reason_of(error)}")
                 return None
-            self._publishers[key] = publisher
+            self._publishers[sender, key] = publisher
         return publisher
 
     def _forget(self, inbox: Inbox) -> None:

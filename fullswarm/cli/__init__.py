@@ -12,13 +12,15 @@ file               commands
 ``params.py``      `params get|set|history|watch`
 ``leases.py``      `leases`, `leases hold`
 ``joystick.py``    `joystick`, `joystick list|test|map`
+``audit.py``       `audit show|verify`
 ``console.py``     `console`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``experiment.py``  `experiment run|trial|watch|replay`
 ``results.py``     `results list|show|export|map|compare|report|index`
 ``scenario.py``    `scenario list|show|import|export`
 ``study.py``       `study check|run|status|export|unblind`
-``bundle.py``      `bundle`, `keys`
+``bundle.py``      `bundle`
+``keys.py``        `keys`, `keys init|issue|renew|revoke|list`
 ``deploy.py``      `deploy`, `update`, `rollback`, `fleet`, `logs`, `shell`, `reboot`
 ``flash.py``       `flash`
 ``options.py``     the decorator of all commands; options that several commands have

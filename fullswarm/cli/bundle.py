@@ -1,16 +1,13 @@
-"""`fullswarm bundle` and `fullswarm keys`: makes signed releases and the keys that sign them."""
+"""`fullswarm bundle`: makes signed releases."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from fullswarm.cli.options import Json, shell_command
-
-if TYPE_CHECKING:
-    from fullswarm.deploy.release.keys import Keys
 
 FIT_ON_AIR = 6
 """Compression level of the size that is printed: what a robot gets is compressed with it."""
@@ -127,43 +124,3 @@ def _size(folder: Path, paths: Any) -> int:
 
 def _megabytes(size: Any) -> str:
     return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
-
-
-@shell_command()
-def keys(as_json: Json = False) -> int:
-    """Print this base's keys, and make those that are missing: one signs releases, one logs in to robots.
-
-    Robots take releases signed by this key only: keep a backup of the folder, and keep it secret.
-    """
-    from fullswarm import output
-    from fullswarm.deploy.release.keys import Keys
-
-    facts = _facts(Keys.default())
-    if as_json:
-        output.data_json(facts)
-        return 0
-    output.data(f"folder   {facts['folder']}")
-    for name in ("release", "fleet"):
-        output.data(f"{name:8} {facts[name]['fingerprint']}  {facts[name]['public']}")
-    for each in facts["hosts"]:
-        output.data(f"host     {each['fingerprint']}  {each['swarm']}/{each['robot']}")
-    return 0
-
-
-def _facts(ours: Keys) -> dict[str, Any]:
-    from fullswarm.deploy.release.keys import fingerprint, public
-
-    pairs = {"release": ours.release_key(), "fleet": ours.fleet_key()}
-    hosts = sorted(ours.folder.glob("hosts/*/*_ed25519"))
-    return {
-        "folder": str(ours.folder),
-        **{
-            name: {"file": str(key), "fingerprint": fingerprint(key), "public": public(key)}
-            for name, key in pairs.items()
-        },
-        "allowed_signers": ours.allowed_signers(),
-        "hosts": [
-            {"swarm": key.parent.name, "robot": key.name.removesuffix("_ed25519"), "fingerprint": fingerprint(key)}
-            for key in hosts
-        ],
-    }

@@ -45,6 +45,7 @@ def console(
 ) -> int:
     """Serve the web console: watch, drive and stop the swarm from a browser. Print the address to open."""
     from fullswarm.drivers.make import makes
+    from fullswarm.launch.liveness import report_alive
     from fullswarm.launch.web_console import open_browser
     from fullswarm.operator.console.serve import OPEN_S, Options, RedirectPage, serve
 
@@ -74,6 +75,7 @@ def console(
                     output.progress(problem)
             if with_parent:
                 leave_with_parent(scheduler, leave)
+                report_alive(scheduler)
 
         output.log_to_stderr(warnings_only=True)
         return serve(target, options, on_start)

@@ -10,9 +10,11 @@ import typer
 
 from fullswarm import __version__
 from fullswarm.cli import bundle, completion, deploy, estop, flash, request, robots, status, tryout
+from fullswarm.cli.audit import audit_app
 from fullswarm.cli.console import console
 from fullswarm.cli.experiment import experiment_app
 from fullswarm.cli.joystick import joystick_app
+from fullswarm.cli.keys import keys_app
 from fullswarm.cli.leases import leases_app
 from fullswarm.cli.mission import mission_app
 from fullswarm.cli.options import Json, shell_command
@@ -40,6 +42,7 @@ for command in (
     app.command()(command)
 for group, name in (
     (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
+    (audit_app, "audit"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
 for group, name, text in (
@@ -50,10 +53,11 @@ for group, name, text in (
 ):
     app.add_typer(group, name=name, rich_help_panel=EVALUATE, help=text)
 for command in (
-    bundle.bundle, bundle.keys, deploy.deploy, deploy.update, deploy.rollback, deploy.logs, deploy.shell,
+    bundle.bundle, deploy.deploy, deploy.update, deploy.rollback, deploy.logs, deploy.shell,
     deploy.reboot, deploy.fleet, flash.flash,
 ):  # fmt: skip
     app.command(rich_help_panel=DEPLOY)(command)
+app.add_typer(keys_app, name="keys", rich_help_panel=DEPLOY)
 app.add_typer(robots.robots_app, name="robots", rich_help_panel=HARDWARE)
 for command in (robots.doctor, robots.emulate):
     app.command(rich_help_panel=HARDWARE)(command)

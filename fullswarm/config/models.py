@@ -109,6 +109,7 @@ class CoreConfig(Section):
     store: Path | None = None  # SQLite file of the local database; None: in memory, `up` keeps one until it ends
     schedule_interval_s: float = Field(0.05, ge=0.0, le=10.0)  # rapid requests are spread over this
     heartbeat_hz: float = Field(10.0, ge=0.5, le=1000.0)
+    audit: Path | None = None  # folder of the audit log; None: beside `store`, else in the user's state folder
     results: Path | None = None  # where the performance node writes JSON; None: nowhere
 
 

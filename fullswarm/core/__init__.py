@@ -24,6 +24,7 @@ In: ``BehaviourRequest``, ``MissionRequest`` and ``StopRequest`` of the operator
 ``roster.py``          which robots are present
 ``latches.py``         which robots are in e-stop, in addition to the latches on board
 ``settings.py``        the core's settings in its local database, and the server that shows and changes them
+``audit.py``           records what is asked and what comes of it in the audit log
 ``node.py``            wires all of it
 ``centralised/``       the centralised behaviours' own process
 """

@@ -249,6 +249,15 @@ class Library:
         """Return the raw records by name."""
         return {entry.key.removeprefix(PREFIX): entry.value for entry in self._store.list(PREFIX)}
 
+    def expires(self, name: str) -> bool:
+        """Tell whether requests for behaviour `name` end unless they are repeated; an unknown one does not."""
+        if name not in self._records and self._store.entry(PREFIX + name) is None:
+            return False  # at once: looking for a similar name takes milliseconds
+        try:
+            return self.get(name).expires_s > 0.0
+        except RequestRefused:
+            return False
+
     def get(self, name: str) -> Record:
         """Return the record of behaviour `name`.
 

@@ -84,6 +84,8 @@ class MainController:
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
         self._on_stop: list[Callable[[Halted], None]] = []
         self._stops_s: deque[float] = deque(maxlen=FLOOD)
+        self.version_problem: Callable[[str], Reason] = lambda _: NONE
+        """Why the core and a robot cannot work together, see :class:`~fullswarm.bus.versions.VersionWatch`."""
         handler.watch_holders(remapper.narrow)
         handler.watch_halts(self._halted)
         self._subscriptions = [
@@ -159,6 +161,10 @@ class MainController:
             raise RequestRefused("the request has no id", hint="give each request an id of its own")
         record = self.library.get(request.behaviour)
         robots = self.addressed(request.robots, lenient=record.name == STOP)
+        if record.name != STOP:
+            for robot in robots:
+                if why := self.version_problem(robot):
+                    raise RequestRefused(f"{robot}: {why.text}", code=why.code, parameters=why.parameters)
         needs = both(self.library.needs(record, request.parameters), request.needs)
         robots, left_out = select(request, robots, needs, self._roster.profile)
         roles = self._roles(request, record, robots)

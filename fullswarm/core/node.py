@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from fullswarm.bus import Bus
+from fullswarm.clock import wall_time_s
 from fullswarm.config import SwarmConfig
 from fullswarm.core.behaviours import PREFIX, Library
 from fullswarm.core.clock import ClockServer
@@ -48,6 +49,8 @@ class CoreNode:
         Name of this start, unique.
     extra
         Nodes that run beside it (summarizers, performance node), already built; closed with this one.
+    wall_s
+        Time of day, seconds since 1970: agents compare theirs with it.
     """
 
     def __init__(
@@ -58,6 +61,7 @@ class CoreNode:
         store: Store,
         process: str,
         extra: Iterable[Closing] = (),
+        wall_s: Callable[[], float] = wall_time_s,
     ) -> None:
         self._bus, self._scheduler, self._keys, self._process = bus, scheduler, Keys(config.swarm), process
         keys, self._sequence = self._keys, 0
@@ -83,7 +87,7 @@ class CoreNode:
         self.remapper.restore(self.handler.holders)
         groups, roster = Groups(store), self.roster
         authority = Authority(bus, keys, scheduler, process, lambda names: groups.known(names, roster.known()))
-        controller = MainController(
+        self.controller = controller = MainController(
             bus, keys, self.library, roster, board, self.handler, self.remapper, groups, authority, request_order,
             scheduler,
         )  # fmt: skip
@@ -96,7 +100,7 @@ class CoreNode:
         self.relay = StateRelay(bus, keys, scheduler, config.agent.sensing_radius_m, config.state_cell_m)
         self._parts: tuple[Closing, ...] = (
             self.missions, controller, authority, self.handler, board, self.remapper, latches, self.relay, roster,
-            params, ClockServer(bus, keys, scheduler, process), *reversed(self.extra),
+            params, ClockServer(bus, keys, scheduler, process, wall_s), *reversed(self.extra),
         )  # fmt: skip
         self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
 

@@ -84,6 +84,7 @@ class LiveDemo:
         if options.console:
             self._add_console()
         bus = ZenohBus(self.runtime.mailbox, hub=config.hub.endpoint)
+        self.supervisor.report_to(bus)
         self._bus = on_network(bus, self.runtime, self.supervisor.config, OPERATOR)
         self._operator = Operator(self._bus, Keys(config.swarm), self.runtime, "demo", clock=clock_id())
         acts, watched = acts_for(config), options.console or not options.headless

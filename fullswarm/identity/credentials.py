@@ -10,12 +10,19 @@ from typing import Literal, get_args
 import msgspec
 
 from fullswarm.errors import ConfigError
-from fullswarm.keys import ROBOT_ID
+from fullswarm.keys import ROBOT_ID, TRUTH
 
 Role = Literal["robot", "core", "centralised", "hub", "world", "operator", "console", "observer", "source"]
 """What a process is to the swarm. ``source``: motion capture or a camera; ``observer``: receives, sends nothing."""
 
 ROLES: tuple[Role, ...] = get_args(Role)
+
+FIXED: frozenset[str] = frozenset({"core", "centralised", "hub", "world", "console"})
+"""Roles whose only name is the role itself, so that a receiver knows the role of such a sender."""
+
+
+UNNAMED = "unnamed"
+"""The sender's chunk of what a process without a name publishes; no certificate has this name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +71,8 @@ def read_grants(path: Path) -> tuple[Grant, ...]:
     Raises
     ------
     ConfigError
-        The file is missing or no such list, a name is not a plain chunk of a key, or a common name is there twice.
+        The file is missing or no such list, a name is not a plain chunk of a key or belongs to another role, or a
+        common name is there twice.
     """
     try:
         grants = msgspec.json.decode(path.read_bytes(), type=tuple[Grant, ...])
@@ -81,7 +89,7 @@ def read_grants(path: Path) -> tuple[Grant, ...]:
 
 
 def check_grants(grants: Iterable[Grant], where: str) -> None:
-    """Refuse a list that would give one certificate two roles, or a name that matches other keys.
+    """Refuse a list that would give one certificate or one name two roles, or a name that matches other keys.
 
     Raises
     ------
@@ -89,6 +97,7 @@ def check_grants(grants: Iterable[Grant], where: str) -> None:
         Names the entry.
     """
     seen: set[str] = set()
+    roles: dict[str, Role] = {}
     for grant in grants:
         if not ROBOT_ID.match(grant.name):
             raise ConfigError(
@@ -98,4 +107,7 @@ def check_grants(grants: Iterable[Grant], where: str) -> None:
             )
         if not grant.common_name or grant.common_name in seen:
             raise ConfigError(f"the common name '{grant.common_name}' is empty or listed twice", where=where)
+        fixed = grant.role in FIXED or grant.name in FIXED or grant.name in (UNNAMED, TRUTH)
+        if roles.setdefault(grant.name, grant.role) != grant.role or (fixed and grant.name != grant.role):
+            raise ConfigError(f"the name '{grant.name}' cannot have the role '{grant.role}'", where=where)
         seen.add(grant.common_name)

@@ -89,7 +89,7 @@ class Lockstep:
     def _agent_of_all(self) -> AgentNode:
         fleet = SimFleet(self.world, self.runtime.now_s, self.config.agent.sensing_radius_m)
         identity = Identity("lockstep", "lockstep-0")
-        return nodes.agent(self.bus, self.runtime, self.config, fleet, identity, self.runtime.stats)
+        return nodes.agent(self.bus, self.runtime, self.config, fleet, identity, self.runtime.stats, self.runtime.now_s)
 
     def _agent_each(self) -> tuple[AgentNode, ...]:
         """Return an agent for each robot: robots that receive different messages need a table each."""
@@ -98,7 +98,8 @@ class Lockstep:
             fleet = SimFleet(self.world, self.runtime.now_s, self.config.agent.sensing_radius_m, row=row)
             identity = Identity(robot, f"{robot}-0")
             bus = self.bus_of(robot)
-            found.append(nodes.agent(bus, self.runtime, self.config, fleet, identity, self.runtime.stats))
+            runtime = self.runtime
+            found.append(nodes.agent(bus, runtime, self.config, fleet, identity, runtime.stats, runtime.now_s))
         return tuple(found)
 
     def run(self, duration_s: float) -> None:

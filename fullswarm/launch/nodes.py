@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from fullswarm.bus.base import Bus
+from fullswarm.bus.base import Bus, SenderBus
 from fullswarm.clock import wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet
@@ -38,9 +39,20 @@ def process_id(name: str) -> str:
 
 
 def core(
-    bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str, wall_s: Callable[[], float] = wall_time_s
+    bus: SenderBus,
+    scheduler: Scheduler,
+    config: SwarmConfig,
+    process: str,
+    wall_s: Callable[[], float] = wall_time_s,
+    *,
+    audit: Path | None = None,
 ) -> list[Node]:
-    """Build the core: main controller, request handler, database, summarizers, performance node."""
+    """Build the core: main controller, request handler, database, summarizers, performance node.
+
+    Parameters
+    ----------
+    audit : folder of the audit log; None: there is none, as in lockstep
+    """
     from fullswarm.core.node import CoreNode
     from fullswarm.core.settings import Settings
     from fullswarm.perf.performance_node import PerformanceNode
@@ -55,7 +67,15 @@ def core(
     extra: list[Node] = [CoverageSummarizer(bus, keys, scheduler, conditions)]
     extra += robot_summarizers(bus, keys, scheduler, conditions, config.robots, config.bounds_m)
     extra.append(PerformanceNode(bus, keys, scheduler, config.core.results))
-    return [store, CoreNode(bus, scheduler, config, store, process, extra=tuple(extra))]
+    if audit is None:
+        return [store, CoreNode(bus, scheduler, config, store, process, tuple(extra), wall_s)]
+    from fullswarm.audit.log import AuditLog
+    from fullswarm.core.audit import AuditRecorder, noted_head
+
+    log = AuditLog(audit, process, scheduler.now_s, wall_s, anchor=noted_head(store))
+    recorder = AuditRecorder(bus, keys, scheduler, log, store, process, lambda name: node.library.expires(name))
+    node = CoreNode(recorder.bus, scheduler, config, store, process, tuple(extra), wall_s)
+    return [store, recorder, node]
 
 
 def centralised(bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> CentralisedNode:
@@ -72,13 +92,14 @@ def agent(
     fleet: Fleet,
     identity: Identity,
     loop: Callable[[], LoopStats],
+    wall_s: Callable[[], float] = wall_time_s,
 ) -> AgentNode:
     """Build the agent that carries the robots of `fleet`."""
     from fullswarm.agent.node import AgentNode
 
     poses = {each.id: each.pose for each in config.robot}
     start = np.array([poses.get(robot) or (0.0, 0.0, 0.0) for robot in fleet.ids], float)
-    return AgentNode(bus, scheduler, config, fleet, identity, start, loop)
+    return AgentNode(bus, scheduler, config, fleet, identity, start, loop, wall_s=wall_s)
 
 
 def start_poses(

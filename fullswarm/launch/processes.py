@@ -11,23 +11,28 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import platformdirs
+import structlog
 
 from fullswarm import registry
-from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus
+from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus, SenderBus
 from fullswarm.bus.endpoint import host_of, is_loopback
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames, in_frame
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.keys import Keys
+from fullswarm.launch.liveness import report_alive
 from fullswarm.launch.nodes import Node, process_id
 from fullswarm.output import INTERRUPTED
+from fullswarm.reasons import Reason
 from fullswarm.runtime import Mailbox, Runtime
 
 RUN = "FULLSWARM_RUN"
 """Folder of the `up` or `demo` that started this process; it ends with the run, as its simulated bodies do."""
 STATE = "FULLSWARM_STATE"
 """Folder for what must survive every process and a power cut; default: the user's state folder."""
+log = structlog.get_logger()
+
 PARENT_CHECK_S = 0.25
 PARENT = "FULLSWARM_PARENT"
 """Process id of the parent. Asking the system would come too late: the parent may die while this process imports."""
@@ -38,11 +43,33 @@ def latch_folder(config: SwarmConfig, robot: RobotConfig) -> Path:
     run = os.environ.get(RUN, "")
     if robot.simulated and run:
         return Path(run) / "estop"
-    state = os.environ.get(STATE, "")
-    folder = (Path(state) if state else platformdirs.user_state_path("fullswarm")) / "estop" / config.swarm
+    folder = state_folder() / "estop" / config.swarm
     if not robot.simulated:
         return folder
     return folder / re.sub(r"[^A-Za-z0-9.-]", "_", config.world_or_default.address)
+
+
+def state_folder() -> Path:
+    """Return the folder for what must survive every process and a power cut."""
+    state = os.environ.get(STATE, "")
+    return Path(state) if state else platformdirs.user_state_path("fullswarm")
+
+
+def audit_folder(config: SwarmConfig) -> Path:
+    """Return the folder for the audit log of a core."""
+    from fullswarm.audit.log import unlocked
+
+    core, run = config.core, os.environ.get(RUN, "")
+    if core.audit is not None:
+        return core.audit
+    if core.store is not None and not (run and core.store.is_relative_to(run)):
+        return core.store.with_name(f"{core.store.stem}-audit")
+    return Path(run) / "audit" if run else unlocked(usual_audit_folder(config.swarm))
+
+
+def usual_audit_folder(swarm: str) -> Path:
+    """Return where the audit log of a swarm is unless its fleet file says otherwise."""
+    return state_folder() / "audit" / swarm
 
 
 def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
@@ -60,12 +87,18 @@ def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
 
 def core(config: SwarmConfig, with_parent: bool) -> int:
     """Serve as the core."""
+    from fullswarm.bus.versions import VersionWatch
+    from fullswarm.core.node import CoreNode
     from fullswarm.core.settings import record_seeds
     from fullswarm.launch import nodes, reload
     from fullswarm.store import Store
 
-    def build(bus: Bus, runtime: Runtime) -> list[Node]:
-        built = nodes.core(bus, runtime, config, process_id("core"))
+    def build(bus: SenderBus, runtime: Runtime) -> list[Node]:
+        built = nodes.core(bus, runtime, config, process_id("core"), audit=audit_folder(config))
+        node = next(each for each in built if isinstance(each, CoreNode))
+        watch = VersionWatch(bus, Keys(config.swarm), runtime, CORE, log_versions)
+        node.controller.version_problem = watch.problem_of
+        built.append(watch)
         if reload.wanted():
             store = next(each for each in built if isinstance(each, Store))
             report = reload.reporter(bus, Keys(config.swarm), CORE)
@@ -77,14 +110,17 @@ def core(config: SwarmConfig, with_parent: bool) -> int:
 
 def centralised(config: SwarmConfig, with_parent: bool) -> int:
     """Serve the centralised behaviours."""
+    from fullswarm.bus.versions import VersionWatch
     from fullswarm.launch import nodes, reload
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
         node = nodes.centralised(bus, runtime, config, process_id("centralised"))
+        watch = VersionWatch(bus, Keys(config.swarm), runtime, CENTRALISED, log_versions)
         if not reload.wanted():
-            return [node]
+            return [node, watch]
         report = reload.reporter(bus, Keys(config.swarm), CENTRALISED)
-        return [node, reload.LawReloader(runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP), report)]
+        laws = reload.LawReloader(runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP), report)
+        return [node, watch, laws]
 
     return serve_on_bus(config, with_parent, build, CENTRALISED)
 
@@ -94,6 +130,7 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     from fullswarm.agent.orders.estops import LatchFolder
     from fullswarm.agent.orders.tasks import read_records_again
     from fullswarm.agent.state import Identity
+    from fullswarm.bus.versions import VersionWatch
     from fullswarm.drivers.fleet import OneRobot
     from fullswarm.drivers.guardian import guarded
     from fullswarm.launch import nodes, reload
@@ -109,15 +146,21 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
         board = OnBoard.from_environment(runtime, config.agent)
         node = nodes.agent(bus, board or runtime, config, fleet, identity, runtime.stats)
         node.inbox.remember_latches(LatchFolder(latch_folder(config, entry), clock_id()))
+
+        def note(why: Reason) -> None:
+            log_versions(why)
+            node.pose_conflicts.other_version = why
+
+        watch = VersionWatch(bus, Keys(config.swarm), runtime, robot, note)
         if board:
-            return [node, board.watch(node)]
+            return [node, watch, board.watch(node)]
         if not reload.wanted():
-            return [node]
+            return [node, watch]
         report = reload.reporter(bus, Keys(config.swarm), robot)
         laws = reload.LawReloader(
             runtime, reload.RobotsOf(node), lambda: registry.loaded(registry.BEHAVIOUR_GROUP), report
         )
-        return [node, laws, reload.RecordReloader(runtime, read_records_again, report)]
+        return [node, watch, laws, reload.RecordReloader(runtime, read_records_again, report)]
 
     return serve_on_bus(config, with_parent, build, robot)
 
@@ -134,6 +177,14 @@ def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int
         return [node, node.supervise(config.bounds_m, config.performance.coverage_cell_m)]
 
     return serve_on_bus(config, with_parent, build, WORLD)
+
+
+def log_versions(why: Reason) -> None:
+    """Log that a process of another version is there, or is gone."""
+    if why:
+        log.warning("another version", reason=why.text)
+    else:
+        log.info("all processes are of one version")
 
 
 def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:
@@ -158,7 +209,7 @@ def _entry(config: SwarmConfig, robot: str) -> RobotConfig:
 
 
 def serve_on_bus(
-    config: SwarmConfig, with_parent: bool, build: Callable[[Bus, Runtime], Iterable[Node]], name: str
+    config: SwarmConfig, with_parent: bool, build: Callable[[SenderBus, Runtime], Iterable[Node]], name: str
 ) -> int:
     """Serve the nodes that `build` makes, on the fleet's bus and the machine's clock; return the exit code.
 
@@ -187,6 +238,7 @@ def _serve(runtime: Runtime, nodes: Iterable[Node], with_parent: bool) -> int:
                 runtime.stop()
 
         runtime.every(PARENT_CHECK_S, leave_with_parent)
+        report_alive(runtime)
     gc.collect()
     gc.freeze()  # what is built once need not be collected, which would cost 20 ms each time
     try:

@@ -1,23 +1,35 @@
-"""Starts the processes of a swarm on this machine, watches them, restarts those that died, ends them in order."""
+"""Starts the processes of a swarm on this machine, watches them, restarts those that died or froze, ends them in order.
+
+A process is frozen when its loop has written nothing to its pipe for a second (:mod:`fullswarm.launch.liveness`); after
+:data:`FROZEN_S` it is killed and started again like one that died. Time counts by the supervisor's own watch, so that a
+suspended computer, or a supervisor that was stopped itself, finds no process frozen.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import structlog
 
 from fullswarm import registry
+from fullswarm.bus.base import CORE, Bus, NamedBus, SenderBus
 from fullswarm.config import SwarmConfig
 from fullswarm.config.fleet_file import write_swarm
 from fullswarm.errors import ConfigError
+from fullswarm.keys import Keys
+from fullswarm.launch.liveness import ALIVE, AlivePipe
 from fullswarm.launch.processes import PARENT, RUN
+from fullswarm.messages import ProcessEnd, ProcessPhase, ProcessReport, ProcessState
 from fullswarm.runtime import Scheduler
 
 log = structlog.get_logger()
@@ -27,8 +39,16 @@ FIRST_BACKOFF_S = 0.3
 LAST_BACKOFF_S = 5.0
 STEADY_S = 10.0
 """A process that ran so long is started again as soon as one that dies for the first time."""
+SILENT_S = 1.0
+"""A process whose loop has shown no sign of life for so long is reported as frozen."""
+FROZEN_S = 3.0
+"""And is killed after so long: well above what a loaded machine delays a loop."""
+REPORT_S = 0.5
+"""`status` collects for a second."""
+LONGEST_TEXT = 500
 END_S = 2.0
 """How long a process may take to end before it is killed; ours take well under a second."""
+FROZEN: Literal["frozen"] = "frozen"
 CONSOLE = "console"
 STORE = "core.db"
 """The core's local database, where the fleet file names none: it lasts as long as the supervisor."""
@@ -54,6 +74,23 @@ class Child:
     backoff_s: float = FIRST_BACKOFF_S
     again_s: float = 0.0
     given_up: str = ""
+    pipe: AlivePipe | None = None
+    silent_s: float = 0.0
+    killed: bool = False  # because it was frozen
+    ended: ProcessEnd = ""
+    code: int = 0
+    phase: ProcessPhase = "starting"
+    phase_s: float = 0.0
+
+    def looks(self) -> ProcessPhase:
+        """Return its phase now; one without a sign of life yet counts as starting."""
+        if self.given_up:
+            return "given_up"
+        if self.process is None or self.process.poll() is not None:
+            return "ended"
+        if self.pipe is None or not self.pipe.seen:
+            return "starting"
+        return "frozen" if self.silent_s >= SILENT_S else "running"
 
 
 @dataclass(slots=True)
@@ -74,6 +111,9 @@ class Supervisor:
     insecure_network: bool = False
     develop: Path | None = None
     children: dict[str, Child] = field(default_factory=dict)
+    _reports: tuple[Bus, str, str] | None = None  # bus, key, host
+    _reported_s: float = -REPORT_S
+    _watched_s: float = 0.0
     folder: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="fullswarm-")))
 
     def __post_init__(self) -> None:
@@ -139,6 +179,11 @@ class Supervisor:
         path = self.folder / f"{name}.log"
         return "\n".join(path.read_text(errors="replace").splitlines()[-lines:]) if path.exists() else ""
 
+    def report_to(self, bus: SenderBus) -> None:
+        """Publish how the processes are, from now on: twice a second and when one changes its phase."""
+        host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname())[:64]
+        self._reports = NamedBus(bus, CORE), Keys(self.config.swarm).processes(host), host
+
     def close(self) -> None:
         """End all: robots first, so that each stops its own wheels while the rest is still there."""
         support = (CONSOLE, "world", "centralised", "core", "hub")
@@ -150,6 +195,9 @@ class Supervisor:
                     child.process.terminate()
             for child in group:
                 _reap(child)
+        for child in self.children.values():
+            if child.pipe is not None:
+                child.pipe.close()
 
     def _with_memory(self) -> SwarmConfig:
         """Return the settings for the children: a core that is started again must know what it had accepted."""
@@ -159,7 +207,11 @@ class Supervisor:
         return self.config.model_copy(update={"core": core.model_copy(update={"store": self.folder / STORE})})
 
     def _spawn(self, child: Child) -> None:
+        if child.pipe is not None:
+            child.pipe.close()
+        child.pipe, child.silent_s, child.killed = AlivePipe(), 0.0, False
         environment = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid()), RUN: str(self.folder)}
+        environment[ALIVE] = str(child.pipe.inherited)
         if self.develop is not None:
             environment[registry.DEVELOP] = str(self.develop)
         log_file = self.folder / f"{child.name}.log"
@@ -170,24 +222,30 @@ class Supervisor:
                 stdout=data,
                 stderr=sink,
                 env=environment,
+                pass_fds=(child.pipe.inherited,),
                 start_new_session=True,  # Ctrl-C goes to the supervisor alone, which ends them in order
             )
+        child.pipe.close_inherited()
         child.starts += 1
         child.started_s = self.scheduler.now_s()
 
     def _watch(self) -> None:
         now_s = self.scheduler.now_s()
+        # A watch that is late was itself kept from running, perhaps with the whole computer: the rest does not count.
+        passed_s, self._watched_s = min(now_s - self._watched_s, 2.0 * WATCH_S), now_s
         for child in self.children.values():
             if child.process is None or child.given_up:
                 continue
             code = child.process.poll()
             if code is None:
-                continue
-            if code == USAGE or not self.restart:
+                self._watch_loop(child, child.process, passed_s)
+            elif code == USAGE or not self.restart:
+                _note_end(child, code)
                 child.given_up = self.log_tail(child.name) or f"ended with code {code}"
                 if code == USAGE and not child.guest:
                     raise ConfigError(child.given_up.removeprefix("error: "), where=child.name)
             elif child.again_s == 0.0:
+                _note_end(child, code)
                 if now_s - child.started_s > STEADY_S:
                     child.backoff_s = FIRST_BACKOFF_S
                 log.warning("a process died and is started again", process=child.name, code=code)
@@ -196,6 +254,50 @@ class Supervisor:
                 child.again_s = 0.0
                 child.backoff_s = min(2.0 * child.backoff_s, LAST_BACKOFF_S)
                 self._spawn(child)
+        self._report(now_s)
+
+    def _watch_loop(self, child: Child, process: subprocess.Popen[bytes], passed_s: float) -> None:
+        """Kill a running process whose loop hangs; one that has not come up yet is left alone."""
+        if child.pipe is None or child.pipe.read() or not child.pipe.seen:
+            child.silent_s = 0.0
+            return
+        child.silent_s += passed_s
+        if self.restart and child.silent_s >= FROZEN_S and not child.killed:
+            log.warning("a process is frozen and is killed", process=child.name, silent_s=round(child.silent_s, 1))
+            child.killed = True
+            _note_end(child, -signal.SIGKILL)
+            process.kill()
+
+    def _report(self, now_s: float) -> None:
+        changed = False
+        for child in self.children.values():
+            phase = child.looks()
+            if phase != child.phase:
+                changed, child.phase, child.phase_s = True, phase, now_s
+        if self._reports is None or not (changed or now_s - self._reported_s >= REPORT_S):
+            return
+        self._reported_s = now_s
+        bus, key, host = self._reports
+        states = tuple(_state(child, now_s) for child in self.children.values())
+        bus.publish(key, ProcessReport(host=host, processes=states, stamp_s=now_s))
+
+
+def _note_end(child: Child, code: int) -> None:
+    """Record how a process ended, for the report."""
+    child.ended = FROZEN if child.killed else "signal" if code < 0 else "exit"
+    child.code = abs(code)
+
+
+def _state(child: Child, now_s: float) -> ProcessState:
+    return ProcessState(
+        name=child.name[:64],
+        phase=child.phase,
+        since_s=max(0.0, now_s - child.phase_s),
+        starts=child.starts,
+        ended=child.ended,
+        code=child.code,
+        text=child.given_up[-LONGEST_TEXT:],
+    )
 
 
 def _reap(child: Child) -> None:

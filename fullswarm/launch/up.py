@@ -5,13 +5,16 @@ from __future__ import annotations
 import signal
 from pathlib import Path
 
+from fullswarm.audit.log import unlocked
 from fullswarm.bus.endpoint import check_endpoint
+from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch import reload
 from fullswarm.launch.network import with_network
+from fullswarm.launch.processes import usual_audit_folder
 from fullswarm.launch.stopping import check_fleet
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, missing_extra
@@ -66,9 +69,14 @@ def run(
     config = with_network(config, network)
     if warning := check_fleet(config)[1]:
         progress(f"warning: {warning}")
+    if config.core.store is None and config.core.audit is None:  # not with the database, which ends with this run
+        core = config.core.model_copy(update={"audit": unlocked(usual_audit_folder(config.swarm))})
+        config = config.model_copy(update={"core": core})
     runtime = Runtime(MonotonicClock())
     runtime.stop_on_signals()
     supervisor = Supervisor(config, runtime, insecure_network=insecure_network, develop=develop)
+    bus = ZenohBus(runtime.mailbox, hub=config.hub.endpoint)
+    supervisor.report_to(bus)
     try:
         if develop is not None:
             reload.watch(develop, runtime)
@@ -78,5 +86,6 @@ def run(
         runtime.after(SETTLED_S, lambda: progress(_hint(config, supervisor.folder)))
         runtime.run()
     finally:
+        bus.close()  # while the hub is there: without it that takes longer
         supervisor.close()
     return INTERRUPTED if runtime.exit_signal == signal.SIGINT else 0

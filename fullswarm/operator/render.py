@@ -13,6 +13,7 @@ from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot, memory_text, n
 from fullswarm.units import UNITS
 
 _NAMES_SHOWN = 8
+_CLOCKS_APART_S = 1.0
 _MEMORIES_SHOWN = 4
 """Of no more robots than this it is shown what their control laws remember."""
 _NUMBERS = (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4))
@@ -63,12 +64,13 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
 
 
 def footer_lines(snapshot: Snapshot) -> list[str]:
-    """Return what concerns the whole swarm: missing or silent robots, the newest request, summaries."""
-    lines = []
+    """Return what concerns the whole swarm: processes, missing or silent robots, the newest request, summaries."""
+    lines = [row.text for row in snapshot.processes if row.text]
     if snapshot.missing:
         lines.append(f"MISSING, never reported: {_names(snapshot.missing)}")
     if snapshot.silent:
         lines.append(f"SILENT, no longer reporting: {_names(snapshot.silent)}")
+    lines += _clock_lines(snapshot)
     if len(snapshot.robots) <= _MEMORIES_SHOWN:
         lines += [f"{row.robot} remembers {text}" for row in snapshot.robots if (text := memory_text(row.memory))]
         lines += [
@@ -83,6 +85,21 @@ def footer_lines(snapshot: Snapshot) -> list[str]:
     summaries = sorted(snapshot.summaries, key=lambda each: (each.metric not in _FIRST, each.metric))
     lines += [f"{each.metric}: {text}" for each in summaries if (text := _values(each))]
     return [escape(line) for line in lines]
+
+
+def _clock_lines(snapshot: Snapshot) -> list[str]:
+    """Return which robots' computers have another time of day than the core's: their logs would not fit together."""
+    apart = {
+        row.robot: row.wall_offset_s
+        for row in snapshot.robots
+        if row.wall_offset_s is not None and abs(row.wall_offset_s) > _CLOCKS_APART_S
+    }
+    if not apart:
+        return []
+    worst = max(apart, key=lambda robot: abs(apart[robot]))
+    where = "ahead of" if apart[worst] > 0 else "behind"
+    more = f", and {len(apart) - 1} more" if len(apart) > 1 else ""
+    return [f"CLOCK of {worst} is {abs(apart[worst]):.1f} s {where} the core's{more}: set it (timedatectl, NTP)"]
 
 
 def _title(snapshot: Snapshot) -> str:

@@ -17,6 +17,8 @@ from fullswarm.messages import (
     Heartbeat,
     Lease,
     Leases,
+    ProcessReport,
+    ProcessState,
     ProfileQuery,
     RequestStatus,
     RobotHealth,
@@ -29,8 +31,8 @@ from fullswarm.messages import (
 from fullswarm.recent import Names, Recent
 from fullswarm.runtime import Scheduler
 
-SILENT_S = 2.0
-"""Four health reports: the robot, its link or its hub is lost."""
+SILENT_S = 1.0
+"""Two health reports and all states between them: the robot, its link or its hub is lost."""
 
 LEASES_S = 3.0
 """The core reports them each second; older ones may have expired."""
@@ -43,6 +45,11 @@ MEMORY_S = 3.0
 
 STRANGERS, MOST_NODES, MOST_METRICS = 1000, 64, 256
 """Robots that are not expected, hosts, processes with a heartbeat, and metrics that are kept at most."""
+PROCESSES_S = 3.0
+"""A supervisor reports twice a second; an older report says nothing of now."""
+
+AGAIN_S = 30.0
+"""How long a restart is shown."""
 
 _NO_STATE = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
@@ -61,6 +68,8 @@ class RobotRow:
     radius_m: float = math.nan
     host: str = ""  # that carries it; empty: no health report yet
     version: str = ""  # of the software there
+    wall_offset_s: float | None = None  # the time of day there less the core's; None: not known
+    round_trip_s: float = -1.0  # from there to the core and back; -1: not known
     profile: RobotProfile | None = None  # None: not received yet
     memory: RobotMemory | None = None  # None: its control law remembers nothing
     actuators: Mapping[str, str] = field(default_factory=dict)  # what was asked of each last, in words
@@ -82,6 +91,36 @@ class NodeRow:
 
 
 @dataclass(frozen=True, slots=True)
+class ProcessRow:
+    """A process that a supervisor keeps running on `host`."""
+
+    host: str
+    age_s: float  # of the report
+    state: ProcessState
+
+    @property
+    def text(self) -> str:
+        """What is wrong with it, or was until lately; empty: nothing."""
+        state, since = self.state, f"{self.state.since_s + self.age_s:.0f} s"
+        ended = {
+            "": "",
+            "exit": f"ended with exit code {state.code}",
+            "signal": f"was killed by signal {state.code}",
+            "frozen": "was frozen and was killed",
+        }[state.ended]
+        if state.phase == "given_up":
+            return f"{state.name} ended and is not started again: {state.text}"
+        if state.phase == "frozen":
+            return f"{state.name} is frozen since {since}"
+        if state.phase == "ended":
+            return f"{state.name} {ended or 'has ended'}"
+        if ended and (state.phase == "starting" or state.since_s + self.age_s <= AGAIN_S):
+            what = "is starting again" if state.phase == "starting" else f"runs again since {since}"
+            return f"{state.name} {ended} and {what}"
+        return ""
+
+
+@dataclass(frozen=True, slots=True)
 class Snapshot:
     """The swarm at one moment."""
 
@@ -93,6 +132,7 @@ class Snapshot:
     request: RequestStatus | None = None  # the newest of all requests
     missing: tuple[str, ...] = ()  # expected or addressed, but never received
     leases: tuple[Lease, ...] = ()
+    processes: tuple[ProcessRow, ...] = ()  # of supervisors that report; robots' own computers have none
 
     @property
     def holders(self) -> dict[str, str]:
@@ -121,6 +161,10 @@ class Snapshot:
             "connected": self.connected,
             "robots": [{**_robot_as_dict(row), "held_by": self.holders.get(row.robot, "")} for row in self.robots],
             "nodes": [asdict(node) for node in self.nodes],
+            "processes": [
+                {"host": row.host, "age_s": row.age_s, "note": row.text, **msgspec.to_builtins(row.state)}
+                for row in self.processes
+            ],
             "summaries": {each.metric: msgspec.to_builtins(each) for each in self.summaries},
             "request": msgspec.to_builtins(self.request),
             "missing": list(self.missing),
@@ -154,6 +198,7 @@ class FleetView:
         self._node_names = Names(MOST_NODES, self._forget_node)
         self._request: RequestStatus | None = None
         self._leases: tuple[float, tuple[Lease, ...]] = (-math.inf, ())
+        self._processes: dict[str, tuple[float, ProcessReport]] = {}  # by host
         self._subscriptions = [
             bus.subscribe(keys.health(), HealthReport, self._on_health),
             bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True),
@@ -164,6 +209,7 @@ class FleetView:
             bus.subscribe(keys.summary(), Summary, self._on_summary, latest=True),
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
             bus.subscribe(keys.leases, Leases, self._on_leases, latest=True),
+            bus.subscribe(keys.processes(), ProcessReport, self._on_processes, latest=True),
         ]
 
         self._asked = False
@@ -202,6 +248,12 @@ class FleetView:
             request=self._request,
             missing=tuple(sorted({*self._expected, *addressed}.difference(received))),
             leases=self._leases[1] if now_s - self._leases[0] <= LEASES_S else (),
+            processes=tuple(
+                ProcessRow(host, now_s - arrived_s, state)
+                for host, (arrived_s, report) in sorted(self._processes.items())
+                if now_s - arrived_s <= PROCESSES_S
+                for state in report.processes
+            ),
         )
 
     def close(self) -> None:
@@ -217,6 +269,7 @@ class FleetView:
     def _forget_host(self, host: str) -> None:
         self._memories.pop(host, None)
         self._actuators.pop(host, None)
+        self._processes.pop(host, None)
 
     def _forget_node(self, node: str) -> None:
         self._nodes.pop(node, None)
@@ -235,6 +288,8 @@ class FleetView:
             radius_m=radius_m,
             host="" if report is None else report.host,
             version="" if report is None else report.version,
+            wall_offset_s=None if report is None else report.wall_offset_s,
+            round_trip_s=-1.0 if report is None else report.round_trip_s,
             profile=self._profiles.get(robot),
             memory=self._memory("" if report is None else report.host, robot, now_s),
             actuators=self._actuators_of("" if report is None else report.host, robot, now_s),
@@ -288,6 +343,10 @@ class FleetView:
     def _on_status(self, status: RequestStatus) -> None:
         self._request = status
 
+    def _on_processes(self, message: ProcessReport) -> None:
+        if self._hosts.admit(message.host, self._scheduler.now_s()):
+            self._processes[message.host] = self._scheduler.now_s(), message
+
     def _on_leases(self, message: Leases) -> None:
         self._leases = self._scheduler.now_s(), message.leases
 
@@ -309,6 +368,8 @@ def _robot_as_dict(row: RobotRow) -> dict[str, object]:
         "capabilities": [] if row.profile is None else list(row.profile.capabilities),
         "memory": {} if row.memory is None else {name: list(values) for name, values in row.memory.fields.items()},
         "actuators": dict(row.actuators),
+        "wall_offset_s": row.wall_offset_s,
+        "round_trip_s": None if row.round_trip_s < 0.0 else row.round_trip_s,
     }
     return {"robot": row.robot, "silent": row.silent, **numbers, **health, **more}
 

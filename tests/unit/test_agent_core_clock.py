@@ -31,13 +31,19 @@ class Bench:
         self.runtime, self.bus = Runtime(SimClock(), mailbox), LocalBus(mailbox)
         self.offset_s, self.probes = offset_s, list[ClockProbe]()
         self.bus.subscribe(KEYS.clock_probe(), ClockProbe, self.probes.append)
-        self.clock = CoreClock(self.bus, KEYS, self.runtime, "me", ASSUMED_S)
+        self.wall_s, self.ahead_s = 1.8e9, 0.0
+        self.clock = CoreClock(
+            self.bus, KEYS, self.runtime, "me", ASSUMED_S, lambda: self.wall_s + self.runtime.now_s()
+        )
 
     def exchange(self, there_s: float, back_s: float, core: str = "core-1") -> None:
         """Carry one probe to the core, whose clock is ahead by `offset_s`, and its reply back."""
         sent_s = self.runtime.now_s()
         self.runtime.run(there_s + back_s)
-        reply = ClockReply(host="me", sent_s=sent_s, core=core, core_s=sent_s + there_s + self.offset_s)
+        reply = ClockReply(
+            host="me", sent_s=sent_s, core=core, core_s=sent_s + there_s + self.offset_s,
+            wall_s=self.wall_s + sent_s + there_s - self.ahead_s,
+        )  # fmt: skip
         self.bus.publish(KEYS.clock_reply("me"), reply)
         self.runtime.run(0.0)
 
@@ -47,6 +53,15 @@ def states(host: str, stamp_s: float, core: str = "", offset_s: float = 0.0, spe
         host=host, sequence=1, stamp_s=stamp_s, robots=(host,), x_m=(0.0,), y_m=(0.0,), heading_rad=(0.0,),
         speed_m_s=(speed_m_s,), turn_rad_s=(0.0,), radius_m=(0.17,), core=core, offset_s=offset_s,
     )  # fmt: skip
+
+
+@given(ahead_s=st.floats(-1e6, 1e6), there_s=delays, back_s=delays)
+def test_the_time_of_day_is_compared_to_half_a_round_trip(ahead_s: float, there_s: float, back_s: float) -> None:
+    bench = Bench(0.0)
+    assert bench.clock.wall_offset_s is None
+    bench.ahead_s = ahead_s
+    bench.exchange(there_s, back_s)
+    assert bench.clock.wall_offset_s == pytest.approx(ahead_s, abs=0.5 * (there_s + back_s) + 1e-5)
 
 
 @given(offset_s=st.floats(-1e4, 1e4), trips=st.lists(st.tuples(delays, delays), min_size=1, max_size=8))

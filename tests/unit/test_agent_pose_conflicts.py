@@ -11,10 +11,12 @@ import pytest
 
 from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.agent.pose.conflicts import APART, DWELL_S, OVERLAP
+from fullswarm.bus.versions import difference
 from fullswarm.config import load_swarm
 from fullswarm.drivers.fleet_file import check_frames, in_frame, own_frame
 from fullswarm.errors import ConfigError
-from fullswarm.messages import RobotStates
+from fullswarm.messages import RobotStates, Version, versions
+from fullswarm.reasons import NONE, Code
 from tests.unit.agent_bench import TICK_S, Bench
 
 FAR = {"goal": [18.0, 10.0], "gain": 0.5, "arrive_radius_m": 0.05}
@@ -139,6 +141,26 @@ def test_a_robot_in_a_frame_of_its_own_bars_whoever_hears_it(bench: Bench) -> No
     bench.run(0.5)
     assert not bench.commanded.any()
     assert "[world] origin" in bench.agent.inbox.ended[0].text
+
+
+def test_a_robot_beside_one_whose_messages_it_cannot_read_stands_and_says_what_to_update(bench: Bench) -> None:
+    bench.enable("move_to_goal", FAR)
+    bench.run(1.0)
+    assert reason(bench) is StopReason.MOVING
+    old = Version(name="r9", software="0.0.9", kinds={"RobotStates": 1})
+    bench.agent.pose_conflicts.other_version = difference(old, versions())
+    bench.run(0.3)
+    assert not bench.commanded.any()
+    health = bench.agent.health(bench.runtime.now_s()).robots[0]
+    assert (health.stop_code, health.stop_parameters["process"]) == (Code.VERSION, "r9")
+    bench.enable("move_to_goal", FAR, request_id="again")
+    bench.run(0.1)
+    assert (bench.acks[-1].accepted, bench.acks[-1].code) == (False, Code.VERSION)
+    bench.agent.pose_conflicts.other_version = NONE
+    bench.run(0.3)
+    bench.enable("move_to_goal", FAR, request_id="later")
+    bench.run(0.5)
+    assert reason(bench) is StopReason.MOVING
 
 
 def test_a_robot_in_a_frame_of_its_own_drives_only_while_it_is_alone(bench: Bench) -> None:

@@ -20,11 +20,11 @@ from fullswarm.bus.base import NamedBus, SenderBus
 from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
-from fullswarm.bus.zenoh_bus import CACHED_KEYS, LONGEST_NAME, ZenohBus, client_config, is_urgent, untyped
+from fullswarm.bus.zenoh_bus import CACHED_KEYS, ZenohBus, client_config, is_urgent, untyped
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, Heartbeat, SeenObstacles, StopRequest
+from fullswarm.messages import Command, Heartbeat, Reception, SeenObstacles, StopRequest
 from fullswarm.runtime import Mailbox
 
 DEADLINE_S = 5.0
@@ -130,21 +130,65 @@ def test_the_sender_arrives_beside_the_message(pair: Pair, latest: bool) -> None
     assert seen[:3] == [(0, "r1"), (1, ""), (2, "core")]
 
 
-def test_a_stranger_cannot_send_a_name_without_end(remote: tuple[ZenohBus, ZenohBus, Pair], hub: str) -> None:
-    _, subscriber, pair = remote
+def test_the_sender_is_the_chunk_of_the_key_after_the_swarms(remote: tuple[ZenohBus, ZenohBus, Pair], hub: str) -> None:
+    publisher, subscriber, pair = remote
     seen: list[str] = []
     subscriber.subscribe_with_sender(KEYS.heartbeat(), Heartbeat, lambda got: seen.append(got.sender))
     pair.settle()
     session = zenoh.open(client_config(hub, multicast=False))
     try:
-        for attached in (b"x" * 1_000_000, bytes(range(256))[:LONGEST_NAME], b"\xff\xfe", b"", b"r7"):
-            session.put(KEYS.heartbeat("core"), encode(beat(1)), attachment=attached)
-        pair.until(lambda: len(seen) == 5)
+        listener = session.declare_subscriber("test/**")
+        session.put("test/r7/heartbeat/core", encode(beat(1)), attachment=b"core")
+        pair.until(lambda: len(seen) == 1)
+        publisher.publish(KEYS.heartbeat("core"), beat(2), sender="r8")
+        publisher.publish(KEYS.heartbeat("core"), beat(3), sender="a/b")  # not one chunk
+        pair.until(lambda: len(seen) == 3)
+        keys = [str(listener.recv().key_expr) for _ in range(3)]
     finally:
         untyped(session.close)
-    assert seen[0] == seen[3] == ""
-    assert all(len(each) <= LONGEST_NAME for each in seen)
-    assert seen[4] == "r7"
+    assert seen == ["r7", "r8", ""]
+    assert sorted(keys) == [f"test/{name}/heartbeat/core" for name in ("r7", "r8", "unnamed")]
+
+
+def test_a_process_of_an_older_version_is_named(
+    remote: tuple[ZenohBus, ZenohBus, Pair], hub: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, subscriber, pair = remote
+    seen: list[Heartbeat] = []
+    subscriber.subscribe(KEYS.heartbeat(), Heartbeat, seen.append)
+    pair.settle()
+    session = zenoh.open(client_config(hub, multicast=False))
+    try:
+        session.put("test/heartbeat/core", encode(beat(1)))
+        pair.until(lambda: subscriber.dropped == 1)
+    finally:
+        untyped(session.close)
+    assert not seen
+    assert "older version of fullswarm: update it" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("host", "robots", "sender", "arrives"),
+    [
+        ("r1", ("r1",), "r1", True),
+        ("r1", ("r1",), "", True),  # a program without a name
+        ("r1", ("r1",), "r2", False),
+        ("r1", ("r1", "r2"), "r1", False),
+        ("r1", ("r1",), "core", False),
+    ],
+)
+def test_what_robots_report_comes_from_themselves(
+    remote: tuple[ZenohBus, ZenohBus, Pair], host: str, robots: tuple[str, ...], sender: str, arrives: bool
+) -> None:
+    publisher, subscriber, pair = remote
+    seen: list[Reception] = []
+    subscriber.subscribe(KEYS.reception(), Reception, seen.append)
+    pair.settle()
+    zeros = (0.0,) * len(robots)
+    message = Reception(host=host, robots=robots, x_m=zeros, y_m=zeros)
+    publisher.publish(KEYS.reception(host), message, sender=sender)
+    pair.until(lambda: bool(seen) or subscriber.dropped == 1)
+    assert (seen == [message]) is arrives
 
 
 def test_wildcards_select(pair: Pair) -> None:
@@ -255,7 +299,7 @@ def test_latest_keeps_the_newest_of_each_key(remote: tuple[ZenohBus, ZenohBus, P
         sender.publish(KEYS.heartbeat("a"), beat(number, "a"))
         sender.publish(KEYS.heartbeat("b"), beat(number, "b"))
     sender.publish(KEYS.heartbeat("end"), beat(0, "end"))
-    wait(lambda: KEYS.heartbeat("end") in inbox._waiting)
+    wait(lambda: any(key.endswith("/heartbeat/end") for key in inbox._waiting))
     pair.mailbox.drain()
     assert seen == [("a", 49), ("b", 49), ("end", 0)]
     sender.publish(KEYS.heartbeat("a"), beat(50, "a"))
@@ -279,7 +323,7 @@ def test_bytes_that_are_no_message_are_counted_and_logged_once(
     other_version = encode(beat(1)).replace(b"Heartbeat/1", b"Heartbeat/2")
     raw = zenoh.open(client_config(hub, multicast=False))
     for payload in (b"", b"\xff\xfe", other_version, encode(StopRequest(id="s")), encode(beat(7))):
-        raw.put("test/raw", payload)
+        raw.put("test/r9/raw", payload)
     pair.until(lambda: bool(seen))
     untyped(raw.close)
     assert seen == [beat(7)]

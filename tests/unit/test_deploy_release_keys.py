@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.release.keys import ENVIRONMENT, Keys, fingerprint, public
+from fullswarm.deploy.release.keys import Keys, fingerprint, public
 from fullswarm.errors import ConfigError
+from fullswarm.identity.folder import KEYS
 
 
 @pytest.fixture
@@ -80,9 +81,9 @@ def test_the_public_half_is_found_again_when_its_file_is_lost(keys: Keys) -> Non
 
 
 def test_the_environment_names_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv(ENVIRONMENT, str(tmp_path / "elsewhere"))
+    monkeypatch.setenv(KEYS, str(tmp_path / "elsewhere"))
     assert Keys.default().folder == tmp_path / "elsewhere"
-    monkeypatch.delenv(ENVIRONMENT)
+    monkeypatch.delenv(KEYS)
     assert Keys.default().folder.name == "keys"
 
 

@@ -4,6 +4,7 @@ import io
 import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -80,13 +81,13 @@ def test_ages_count_from_the_newest_message_of_a_robot(listening: Listening) -> 
     listening.report("h", health("r1"), health("r2"))
     listening.runtime.run(0.5)
     listening.states("h", "r2", "r3", x_m=4.0)
-    listening.runtime.run(1.75)
+    listening.runtime.run(0.75)
     snapshot = listening.view.snapshot()
     assert [(each.robot, each.age_s, each.x_m) for each in snapshot.robots if each.robot != "r1"] == [
-        ("r2", 1.75, 4.0),
-        ("r3", 1.75, 4.0),
+        ("r2", 0.75, 4.0),
+        ("r3", 0.75, 4.0),
     ]
-    assert snapshot.robots[0].age_s == 2.25
+    assert snapshot.robots[0].age_s == 1.25
     assert math.isnan(snapshot.robots[0].x_m)
     assert snapshot.robots[2].health is None
     assert snapshot.silent == ("r1",)  # heard, but too long ago
@@ -284,3 +285,16 @@ def test_repeated_values_are_not_shown_and_a_share_is_labelled() -> None:
 def test_trouble_stays_on_a_small_screen() -> None:
     lines = [line.rstrip() for line in text_of(full_snapshot(), max_rows=3, max_lines=2).splitlines()]
     assert lines[-2:] == ["MISSING, never reported: r4", "SILENT, no longer reporting: r3"]
+
+
+def test_a_clock_that_is_apart_is_named_with_what_to_do() -> None:
+    listening = Listening()
+    report = HealthReport(host="h", process="p", version="1", robots=(health("r1"),), wall_offset_s=-7.3)
+    listening.bus.publish(KEYS.health("h"), report)
+    near = HealthReport(host="g", process="p", version="1", robots=(health("r2"),), wall_offset_s=0.4)
+    listening.bus.publish(KEYS.health("g"), near)
+    listening.runtime.run(0.1)
+    (line,) = [each for each in footer_lines(listening.view.snapshot()) if "CLOCK" in each]
+    assert line.startswith("CLOCK of r1 is 7.3 s behind the core's: set it")
+    robots: Any = listening.view.snapshot().as_dict()["robots"]
+    assert [each["wall_offset_s"] for each in robots] == [-7.3, 0.4]

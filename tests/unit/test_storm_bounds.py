@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fullswarm.agent.neighbours import reception
-from fullswarm.bus import local
+from fullswarm.bus import local, versions
 from fullswarm.operator.console import log
 from fullswarm.perf import tallies
 from fullswarm.recent import Names, Recent
@@ -95,7 +95,13 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Recent, "__init__", small_recent)
     monkeypatch.setattr(Names, "__init__", small_names)
-    for module, bound in ((tallies, "HOSTS"), (log, "REMEMBERED"), (reception, "MOST_HOSTS"), (local, "CACHED_KEYS")):
+    for module, bound in (
+        (versions, "MOST"),
+        (tallies, "HOSTS"),
+        (log, "REMEMBERED"),
+        (reception, "MOST_HOSTS"),
+        (local, "CACHED_KEYS"),
+    ):
         monkeypatch.setattr(module, bound, SMALL)
 
 

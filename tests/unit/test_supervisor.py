@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import socket
 import subprocess
 from collections.abc import Iterator
@@ -10,11 +12,15 @@ from typing import Any
 
 import pytest
 
+from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.errors import ConfigError
+from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports
-from fullswarm.launch.supervisor import FIRST_BACKOFF_S, STEADY_S, Supervisor
+from fullswarm.launch.supervisor import FIRST_BACKOFF_S, FROZEN_S, SILENT_S, STEADY_S, Supervisor
+from fullswarm.operator.render import footer_lines
+from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Runtime
 
 
@@ -52,8 +58,15 @@ class Process:
 
     born: int | None = None
 
-    def __init__(self, *_: Any, **__: Any) -> None:
+    def __init__(self, *_: Any, pass_fds: tuple[int, ...], **__: Any) -> None:
         self.code = Process.born
+        self.alive = os.dup(pass_fds[0])  # it has an end of the pipe of its own
+
+    def beat(self) -> None:
+        os.write(self.alive, b".")
+
+    def kill(self) -> None:
+        self.code = -signal.SIGKILL
 
     def poll(self) -> int | None:
         return self.code
@@ -63,6 +76,9 @@ class Process:
 
     def terminate(self) -> None:
         self.code = 0
+
+    def __del__(self) -> None:
+        os.close(self.alive)
 
 
 @pytest.fixture
@@ -133,3 +149,103 @@ def test_wrong_settings_end_the_supervisor_with_the_code_for_that(watched: tuple
     end(supervisor, 2)
     with pytest.raises(ConfigError, match="hub"):
         runtime.run(1.0)
+
+
+def hub_of(supervisor: Supervisor) -> Process:
+    process: Any = supervisor.children["hub"].process
+    assert isinstance(process, Process)
+    return process
+
+
+def test_a_frozen_process_is_killed_and_started_again(watched: tuple[Runtime, Supervisor]) -> None:
+    runtime, supervisor = watched
+    first = hub_of(supervisor)
+    first.beat()
+    runtime.run(SILENT_S / 2)
+    assert supervisor.children["hub"].looks() == "running"
+    runtime.run(SILENT_S)
+    assert supervisor.children["hub"].looks() == "frozen"
+    runtime.run(FROZEN_S)
+    again = hub_of(supervisor)
+    assert (first.code, supervisor.children["hub"].starts) == (-signal.SIGKILL, 2)
+    again.beat()
+    runtime.run(FROZEN_S - 0.5)
+    again.beat()
+    runtime.run(FROZEN_S - 0.5)
+    assert hub_of(supervisor) is again
+    runtime.run(2.0)  # a second time, too
+    assert again.code == -signal.SIGKILL
+
+
+def test_a_process_that_has_not_come_up_yet_is_not_frozen(watched: tuple[Runtime, Supervisor]) -> None:
+    runtime, supervisor = watched
+    runtime.run(60.0)
+    assert supervisor.children["core"].starts == 1
+    assert supervisor.children["core"].looks() == "starting"
+
+
+class Machine:
+    """The clock of a computer, which passes by itself while nothing runs."""
+
+    time_s = 0.0
+
+    def now_s(self) -> float:
+        return self.time_s
+
+
+def test_a_suspended_computer_finds_no_process_frozen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    Process.born = None
+    machine = Machine()
+    runtime = Runtime(machine)
+    made = Supervisor(SwarmConfig(), runtime)
+    made.start()
+    for _ in range(5):
+        for step in range(20):
+            machine.time_s += 0.1
+            if step % 5 == 0:
+                hub_of(made).beat()
+            runtime.serve_due()
+        machine.time_s += 1000.0
+    assert made.children["hub"].starts == 1
+    for _ in range(40):  # and one that is frozen after that is found all the same
+        machine.time_s += 0.1
+        runtime.serve_due()
+    assert made.children["hub"].starts == 2
+    made.close()
+
+
+def test_operators_learn_which_process_ended_and_why(watched: tuple[Runtime, Supervisor]) -> None:
+    runtime, supervisor = watched
+    bus = LocalBus(runtime.mailbox)
+    view = FleetView(bus, Keys(), runtime)
+    supervisor.report_to(bus)
+    for name in supervisor.children:
+        process: Any = supervisor.children[name].process
+        process.beat()
+
+    def hub() -> tuple[str, str]:
+        (row,) = (each for each in view.snapshot().processes if each.state.name == "hub")
+        return row.state.phase, row.text
+
+    runtime.run(0.5)
+    assert hub() == ("running", "")
+    hub_of(supervisor).code = -signal.SIGSEGV
+    runtime.run(0.2)
+    assert hub() == ("ended", "hub was killed by signal 11")
+    runtime.run(FIRST_BACKOFF_S)
+    assert hub() == ("starting", "hub was killed by signal 11 and is starting again")
+    hub_of(supervisor).beat()
+    runtime.run(0.2)
+    assert hub()[0] == "running"
+    assert hub()[1].startswith("hub was killed by signal 11 and runs again")
+    assert hub()[1] in footer_lines(view.snapshot())
+    runtime.run(SILENT_S)
+    assert hub()[0] == "frozen"
+    runtime.run(FROZEN_S - SILENT_S)
+    assert hub() == ("ended", "hub was frozen and was killed")
+    runtime.run(1.0)
+    hub_of(supervisor).beat()
+    runtime.run(0.2)
+    assert "hub was frozen and was killed" in hub()[1]
+    view.close()

@@ -70,7 +70,9 @@ class PoseConflicts:
     ----------
     own_frame : the poses of this agent's robots count from a frame of their own
     overlap : (n,) another robot is reported where this one is
-    frame_conflict : this agent or a neighbour has a frame of its own, and there is more than one robot
+    frame_conflict : this agent or a neighbour has a frame of its own, and there is more than one robot; or there are
+        robots whose states cannot be read
+    other_version : of another process, whose messages cannot be read, written from outside; false: there is none
     """
 
     def __init__(self, own_frame: bool, state: AgentState, neighbours: Neighbours, near: Near) -> None:
@@ -79,6 +81,7 @@ class PoseConflicts:
         self.own_frame = own_frame
         self.overlap = np.zeros(count, bool)
         self.frame_conflict = False
+        self.other_version = NONE
         self._since_s = np.full(count, math.inf)
         self._partner = np.zeros(count, np.int64)
 
@@ -91,10 +94,12 @@ class PoseConflicts:
         if self.own_frame and not foreign and neighbours.count:
             newest_s = float(neighbours.arrival_s[: neighbours.count].max())
             foreign = now_s - newest_s <= OWN_FRAME_S
-        self.frame_conflict = foreign
+        self.frame_conflict = foreign or bool(self.other_version)
 
     def reason(self, row: int) -> Reason:
         """Return why robot `row` may not drive by itself, and what to do; false if it may."""
+        if self.other_version:
+            return self.other_version
         if self.frame_conflict:
             if self.own_frame:
                 return reason(Code.FRAME)

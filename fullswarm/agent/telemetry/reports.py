@@ -153,7 +153,7 @@ class Reports:
         x_m, y_m = self._aim.T.tolist()
         return x_m, y_m
 
-    def health(self, loop: LoopStats, version: str, now_s: float) -> HealthReport:
+    def health(self, loop: LoopStats, version: str, now_s: float, clock: CoreClock) -> HealthReport:
         """Return the health of all robots of this agent."""
         self._now_s = now_s
         return HealthReport(
@@ -165,6 +165,8 @@ class Reports:
             late_ticks=loop.late,
             missed_ticks=loop.missed,
             worst_late_s=loop.worst_late_s,
+            wall_offset_s=clock.wall_offset_s,
+            round_trip_s=clock.round_trip_s if math.isfinite(clock.round_trip_s) else -1.0,
             stamp_s=now_s,
         )
 

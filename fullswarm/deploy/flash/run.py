@@ -35,10 +35,11 @@ from fullswarm.deploy.flash.result import ADVICE, FirstReport, check_hub_answers
 from fullswarm.deploy.flash.write import CardFailed, Job, Outcome, explain, write_jobs
 from fullswarm.deploy.fleet.login import Pins, known_hosts_name
 from fullswarm.deploy.fleet.releases import extras_needed
-from fullswarm.deploy.release.keys import Keys, public, usable
+from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.files import replace_file
+from fullswarm.identity.folder import usable
 from fullswarm.operator import session
 
 PROGRESS_S = 2.0

@@ -19,8 +19,8 @@ import typer
 
 from fullswarm import output
 from fullswarm.deploy.fleet.remote import Remote, clean, closing
-from fullswarm.deploy.release.keys import usable
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable, did_you_mean
+from fullswarm.identity.folder import usable
 
 if TYPE_CHECKING:
     from fullswarm.config import RobotConfig, SwarmConfig

@@ -7,7 +7,6 @@ Ed25519 key, which every machine with OpenSSH can verify, as robots do.
 from __future__ import annotations
 
 import fcntl
-import os
 import re
 import shutil
 import subprocess
@@ -17,13 +16,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import platformdirs
-
 from fullswarm.deploy.release import manifest
 from fullswarm.errors import ConfigError
+from fullswarm.identity.folder import KEYS, keys_folder, usable
 
-ENVIRONMENT = "FULLSWARM_KEYS"
-"""Names another folder for the keys."""
 _NAME = re.compile(r"[0-9A-Za-z_][0-9A-Za-z_.-]*")
 _SSH_KEYGEN = "ssh-keygen"
 NAMESPACE = "fullswarm-release"
@@ -43,8 +39,7 @@ class Keys:
     @classmethod
     def default(cls) -> Keys:
         """Return the keys of this user, or of the folder that ``FULLSWARM_KEYS`` names."""
-        named = os.environ.get(ENVIRONMENT)
-        return cls(Path(named) if named else platformdirs.user_config_path("fullswarm") / "keys")
+        return cls(keys_folder())
 
     def release_key(self) -> Path:
         """Return the private key that signs releases."""
@@ -111,33 +106,6 @@ class Keys:
             yield
 
 
-@contextmanager
-def usable(folder: Path, writing: Path | None = None) -> Iterator[None]:
-    """Report which file of `folder` this user may not read or write, such as one that `sudo fullswarm` left.
-
-    Parameters
-    ----------
-    writing
-        The file that an error without a name is about.
-
-    Raises
-    ------
-    ConfigError
-        Instead of an OSError about a file of `folder`, unless the file is missing.
-    """
-    try:
-        yield
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        file = Path(os.fsdecode(error.filename)) if error.filename else writing
-        if file is None or not file.is_relative_to(folder):
-            raise
-        hint = f"sudo chown -R \"$USER\" '{folder}'" if isinstance(error, PermissionError) else ""
-        what = f"cannot be read or written: {(error.strerror or str(error)).lower()}"
-        raise ConfigError(what, where=str(file), hint=hint) from error
-
-
 def public(key: Path) -> str:
     """Return the public half of a private key: ``ssh-ed25519 AAAA… comment``.
 
@@ -172,7 +140,7 @@ def _folder(path: Path) -> None:
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        hint = f"name another folder in {ENVIRONMENT}"
+        hint = f"name another folder in {KEYS}"
         raise ConfigError(f"keys cannot be stored here: {error.strerror}", where=str(path), hint=hint) from error
 
 

@@ -32,6 +32,7 @@ from fullswarm.errors import ConfigError, MissingExtra, Unreachable, did_you_mea
 ONBOARD: Mapping[str, str] = {
     **{each.extra: each.robots for each in built_in() if each.extra and not each.simulated},
     "core": "the behaviour `navigate` (brings SciPy and OSQP: 30 MB)",
+    "keys": "a hub with certificates, `tls/…` (brings cryptography: 16 MB)",
 }
 """The extras that a robot may need, and what for. Simulators, plots and gamepads belong to the base."""
 _EXTRA = re.compile(r"""^(?P<requirement>[^;]+);\s*extra\s*==\s*["'](?P<extra>[^"']+)["']\s*$""")

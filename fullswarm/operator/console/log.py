@@ -216,6 +216,8 @@ class ChangeLog:
     _leases: dict[str, str] = field(default_factory=dict)
     # file → problem, hosts that reported it
     _reloads: Recent[str, tuple[str, set[str]]] = field(default_factory=lambda: Recent(REMEMBERED))
+    # → phase, end, starts
+    _processes: Recent[tuple[str, str], tuple[str, str, int]] = field(default_factory=lambda: Recent(REMEMBERED))
 
     def update(self, seen: Snapshot, now_s: float) -> None:
         """Log what has changed of hub, core and robots."""
@@ -230,7 +232,18 @@ class ChangeLog:
             if self._core is not None:
                 self.log.add(now_s, "link", "the core is running" if core else "the core is silent")
             self._core = core
+        self._supervised(seen, now_s)
         self._robots(seen, now_s)
+
+    def _supervised(self, seen: Snapshot, now_s: float) -> None:
+        """Log processes that freeze, end, or run again."""
+        for row in seen.processes:
+            state = row.state
+            known, at = (state.phase, state.ended, state.starts), (row.host, state.name)
+            before = self._processes.get(at)
+            self._processes[at] = known
+            if known != before and row.text and (before is not None or state.phase in ("frozen", "ended", "given_up")):
+                self.log.add(now_s, "link", row.text)
 
     def _robots(self, seen: Snapshot, now_s: float) -> None:
         if len(self._silent) > len(seen.robots):
