@@ -7,7 +7,9 @@ is one transaction, so a process that dies leaves the last whole state behind.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import sqlite3
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -68,6 +70,7 @@ class Store:
         try:
             if path is not None:
                 path.parent.mkdir(parents=True, exist_ok=True)
+                _make_private(path)
             # The runtime's thread may be another than the one that built the nodes; only one uses it at a time.
             self._db = sqlite3.connect(
                 path or ":memory:", timeout=BUSY_S, isolation_level=None, check_same_thread=False
@@ -228,6 +231,14 @@ class Store:
         else:
             hint = "check that the folder exists, is writable and has room"
         return ConfigError(f"the local database fails: {error}", where=str(self.path or "memory"), hint=hint)
+
+
+def _make_private(path: Path) -> None:
+    """Make the file, and what SQLite keeps beside it, for this user only: SQLite gives new ones the file's mode."""
+    os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+    for each in (path, *(path.with_name(path.name + suffix) for suffix in ("-wal", "-shm", "-journal"))):
+        with contextlib.suppress(FileNotFoundError, PermissionError):  # of another user, who has let this one write
+            each.chmod(0o600)
 
 
 def _encode(key: str, value: Stored) -> str:

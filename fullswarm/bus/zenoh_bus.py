@@ -55,7 +55,7 @@ LEAVE_S = 1.0
 
 ASK_FIRST_S, ASK_TIMEOUT_S = 0.02, 1.0
 """First wait, after a link to a secured hub is up, before it is asked once more whether it admits this process."""
-EXPLAIN_AFTER_S, EXPLAIN_EVERY_S = 2.0, 30.0
+EXPLAIN_AFTER_S, EXPLAIN_EVERY_S = 5.0, 30.0
 """A link to a secured hub that is down so long has its cause looked for, logged once per cause."""
 
 OLD_HEARTBEATS = "*/heartbeat/*"

@@ -214,13 +214,14 @@ def info(target: Target, as_json: Json = False) -> int:
 @shell_command(logs=True)
 def hub(
     listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="The endpoint to listen on.")] = "tcp/127.0.0.1:7447",
+    swarm: Annotated[str, typer.Option(help="The swarm whose certificates are valid, for tls/.")] = "swarm",
     insecure_network: Insecure = False,
     with_parent: WithParent = False,
 ) -> int:
     """Run the hub that carries the messages."""
     from fullswarm.launch import processes
 
-    return processes.hub(listen, insecure_network, with_parent)
+    return processes.hub(listen, swarm, insecure_network, with_parent)
 
 
 @app.command(rich_help_panel=RUN)

@@ -47,7 +47,7 @@ from fullswarm.operator.leases import GROUP, LeaseHolder
 from fullswarm.operator.missions import ENDED, SILENT_S, MissionClient, PendingMissionRequest, waiting_steps
 from fullswarm.operator.missions import refusal as mission_refusal
 from fullswarm.operator.outcome import ended, refusal, settled
-from fullswarm.operator.session import operator_name, usual_name
+from fullswarm.operator.session import operator_name, own_credentials, usual_name
 from fullswarm.operator.view import FleetView, RobotRow, Snapshot
 from fullswarm.output import quiet
 from fullswarm.parameters import goals_of
@@ -217,7 +217,8 @@ class Client:
         atexit.register(self.close)
 
     def _build(self, runtime: Runtime) -> None:
-        self._bus = ZenohBus(runtime.mailbox, hub=self.hub)
+        credentials = own_credentials(self.hub, self.keys.swarm, self.name)
+        self._bus = ZenohBus(runtime.mailbox, hub=self.hub, credentials=credentials)
         bus = NamedBus(self._bus, OPERATOR)
         self._runtime = runtime
         self._operator = Operator(bus, self.keys, runtime, self.source, name=self.name, clock=clock_id())
