@@ -50,7 +50,7 @@ class Lane(IntEnum):
     """Questions, statistics, what is only shown to people."""
 
 
-ROOM = {Lane.ORDERS: 2000, Lane.STATES: 4000, Lane.READS: 1000}
+ROOM = {Lane.ORDERS: 2000, Lane.STATES: 4000, Lane.READS: 4000}
 """Messages that wait in a lane at most. Stops are delivered however many wait."""
 
 

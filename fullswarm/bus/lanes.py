@@ -24,8 +24,10 @@ class Service(NamedTuple):
 
 STOPS = Service(Lane.ORDERS, 0.0, stops=True)
 ORDERS = Service(Lane.ORDERS, 500.0)  # eight sticks of one console send 160 a second
+ANSWERS = Service(Lane.ORDERS, 2000.0)  # of the core to all, of a host with many robots
 STATES = Service(Lane.STATES, 1000.0)  # twice the greatest rate of states
 READS = Service(Lane.READS, 100.0)  # twice the greatest rate of measurements
+CHANGES = Service(Lane.READS, 2000.0)  # of a database: one per robot of a request
 
 _TOPICS = {
     "stop": STOPS, "estop": STOPS, "behaviour": ORDERS, "robot": ORDERS, "heartbeat": ORDERS, "lease": ORDERS,
@@ -33,18 +35,19 @@ _TOPICS = {
     "reload": READS, "intervention": READS, "processes": READS,
 }  # fmt: skip
 """By the first part of a key after the swarm; all others carry states."""
+_SPECIAL = {
+    ("behaviour", "status"): ANSWERS, ("robot", "ack"): ANSWERS, ("robot", "pose_fix"): STATES,
+    ("profile", "query"): READS, ("params", "changed"): CHANGES,
+}  # fmt: skip
+"""By the first and the last part."""
 
 
 def service_of(key: str) -> Service:
     """Return how the messages of a key, or of all that match a key expression, are served."""
     topic, _, rest = key.partition("/")[2].partition("/")
     if topic == "estop" and rest:
-        return ORDERS  # receipts
-    if topic == "robot" and rest.endswith("/pose_fix"):
-        return STATES
-    if topic == "profile" and rest == "query":
-        return READS
-    return _TOPICS.get(topic, STATES)
+        return ANSWERS  # receipts
+    return _SPECIAL.get((topic, rest.rpartition("/")[2])) or _TOPICS.get(topic, STATES)
 
 
 class Bucket:

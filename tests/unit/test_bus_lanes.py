@@ -6,7 +6,7 @@ import inspect
 
 import pytest
 
-from fullswarm.bus.lanes import BURST_S, ORDERS, READS, STATES, STOPS, Bucket, Service, service_of
+from fullswarm.bus.lanes import ANSWERS, BURST_S, CHANGES, ORDERS, READS, STATES, STOPS, Bucket, Service, service_of
 from fullswarm.config import AgentConfig
 from fullswarm.keys import Keys
 
@@ -16,8 +16,9 @@ KEYS = Keys("lab")
 @pytest.mark.parametrize(
     ("key", "service"),
     [
-        (KEYS.stop, STOPS), (KEYS.estop, STOPS), (KEYS.estop_receipt("r1"), ORDERS), (KEYS.behaviour_request, ORDERS),
-        (KEYS.control_requests("r1", "drive"), ORDERS), (KEYS.command(), ORDERS), (KEYS.ack(), ORDERS),
+        (KEYS.stop, STOPS), (KEYS.estop, STOPS), (KEYS.estop_receipt("r1"), ANSWERS), (KEYS.behaviour_request, ORDERS),
+        (KEYS.control_requests("r1", "drive"), ORDERS), (KEYS.command(), ORDERS), (KEYS.ack(), ANSWERS),
+        (KEYS.behaviour_status, ANSWERS), (KEYS.param_changed(), CHANGES),
         (KEYS.heartbeat("core"), ORDERS), (KEYS.state(), STATES), (KEYS.pose_fix("r1"), STATES),
         (KEYS.health(), STATES), (KEYS.profile(), STATES), (KEYS.profile_query, READS),
         (KEYS.param_request("core"), READS), (KEYS.measurement("robots"), READS), (KEYS.summary(), READS),
