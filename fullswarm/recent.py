@@ -56,7 +56,7 @@ class Names:
         Messages under names for which there was no room.
     """
 
-    def __init__(self, most: int, forget: Callable[[str], None], listed: Iterable[str] = ()) -> None:
+    def __init__(self, most: int, forget: Callable[[str], object], listed: Iterable[str] = ()) -> None:
         self._most, self._forget, self.listed = most, forget, frozenset(listed)
         self._seen: OrderedDict[str, tuple[float, float]] = OrderedDict()  # first and last arrival, the oldest first
         self.refused = 0

@@ -68,7 +68,7 @@ class Roster:
         self._members = {robot: Member(robot) for robot in configured}
         self._on_report: list[Callable[[Member, bool], None]] = []
         self._on_absence: list[Callable[[str], None]] = []
-        self._on_forgotten: list[Callable[[str], None]] = []
+        self._on_forgotten: list[Callable[[str], object]] = []
         self._names = Names(STRANGERS, self._forget, configured)
         self._bus, self._keys, self._asked_s = bus, keys, -math.inf
         self._profiles: dict[str, RobotProfile] = {}
@@ -84,7 +84,7 @@ class Roster:
         self._on_report.append(on_report)
         self._on_absence.append(on_absence)
 
-    def watch_forgotten(self, callback: Callable[[str], None]) -> None:
+    def watch_forgotten(self, callback: Callable[[str], object]) -> None:
         """Have `callback(robot)` called when a robot is no longer known; it is not of the fleet file."""
         self._on_forgotten.append(callback)
 

@@ -53,6 +53,8 @@ class ParamClient:
         """
         question = ParamRequest(id=self._new_id(), op=op, key=key, value=value, author=self._author)
 
+        timer: Timer | None = None
+
         def receive(reply: ParamReply) -> None:
             nonlocal timer
             if timer is not None and reply.id == question.id:
@@ -67,7 +69,6 @@ class ParamClient:
             timer = self._scheduler.after(next(waits) * (1.0 + JITTER * self._chance.random()), send)
 
         subscription = self._bus.subscribe(self._keys.param_reply(self._layer, question.id), ParamReply, receive)
-        timer: Timer | None = None
         waits = itertools.chain((RESEND_S, 2.0 * RESEND_S, 4.0 * RESEND_S), itertools.repeat(RESEND_LAST_S))
         send()
 

@@ -51,7 +51,7 @@ def main(hub: str, seed: int, count: int, per_second: float) -> None:
                 fields = msgspec.msgpack.decode(raw)
                 own = {name: sender for name in ("host", "robot", "node", "name") if name in fields}
                 raw = msgspec.msgpack.encode(fields | own)
-            key = re.sub(r"<[^>]*>", lambda _, places=places: chance.choice(places), key)
+            key = "/".join(chance.choice(places) if part.startswith("<") else part for part in key.split("/"))
             session.put(wire_key(f"{SWARM}/{key}", sender), raw)
             ahead_s = sent / per_second - (time.monotonic() - began_s)
             if ahead_s > 0.01:

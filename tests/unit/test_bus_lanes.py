@@ -48,7 +48,7 @@ def test_no_key_is_left_out_by_mistake() -> None:
 
 def test_rates_are_beyond_the_greatest_that_can_be_set() -> None:
     def most(name: str) -> float:
-        return max(each.le for each in AgentConfig.model_fields[name].metadata if hasattr(each, "le"))
+        return float(max(each.le for each in AgentConfig.model_fields[name].metadata if hasattr(each, "le")))
 
     assert STATES.rate_hz >= 2.0 * most("state_rate_hz")
     assert READS.rate_hz >= 2.0 * most("measurement_rate_hz")

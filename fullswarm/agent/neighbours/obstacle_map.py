@@ -122,8 +122,7 @@ class ObstacleMap:
 def _sound(obstacles: Array) -> NDArray[np.bool_]:
     """Tell which rows are boxes."""
     sizes = np.column_stack([obstacles[:, 2:4], obstacles[:, 5]])
-    sound: NDArray[np.bool_] = np.isfinite(obstacles).all(axis=1) & (sizes >= 0.0).all(axis=1)
-    return sound
+    return np.asarray(np.isfinite(obstacles).all(axis=1) & (sizes >= 0.0).all(axis=1), np.bool_)
 
 
 def map_of(config: SwarmConfig) -> Array:
