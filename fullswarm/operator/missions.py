@@ -53,7 +53,7 @@ class MissionClient:
 
     Parameters
     ----------
-    source, name, clock
+    source, name, clock, new_id
         As in :class:`~fullswarm.operator.client.Operator`.
     on_status
         Called with each status that is received.
@@ -76,7 +76,9 @@ class MissionClient:
         clock: str = "",
         on_status: Callable[[MissionStatus], None] | None = None,
         watch: bool = True,
+        new_id: Callable[[], str] = short_id,
     ) -> None:
+        self._new_id = new_id
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._source, self._name, self._clock, self._on_status = source, name or source, clock, on_status
         self.missions: Recent[str, MissionStatus] = Recent(MOST_MISSIONS)
@@ -99,7 +101,7 @@ class MissionClient:
     ) -> PendingMissionRequest:
         """Send a request, again every 0.2 s, after 10 s each second, until the core has answered it."""
         request = MissionRequest(
-            id=short_id(), op=op, mission=mission[:64], plan=plan, track=track[:64], step=step[:64], take=take,
+            id=self._new_id(), op=op, mission=mission[:64], plan=plan, track=track[:64], step=step[:64], take=take,
             source=self._source, operator=self._name, clock=self._clock, stamp_s=self._scheduler.now_s(),
         )  # fmt: skip
         pending = PendingMissionRequest(request, on_reply)
