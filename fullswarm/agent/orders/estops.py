@@ -272,8 +272,7 @@ class LatchFolder:
         """Write the file and wait for the disk: pulling the battery is what comes next after an e-stop."""
         text = {"id": order.id, "source": order.source, "reason": order.reason}
         try:
-            self._disk.write(self._file(robot), msgspec.json.encode(text) + b"
-")
+            self._disk.write(self._file(robot), msgspec.json.encode(text) + b"\n")
             self._engaged.add(robot)
         except OSError as error:
             log.error("a restart of this agent would not know of the e-stop", robot=robot, error=str(error))
