@@ -12,6 +12,7 @@ Files:
 ``codec.py``           messages as bytes: MessagePack, with errors that name what does not match
 ``endpoint.py``        where the hub listens: default address, syntax, which computers reach it, whether secured
 ``hub.py``             the hub: a zenoh router in a process of its own; agents, core and operators are its clients
+``lanes.py``           which messages are delivered first, and how many of one sender are taken in
 ``local.py``           the bus within one process: every message is delivered once, in the order of publishing
 ``network_faults.py``  injected faults of the network: their text, and a bus that loses, delays, doubles, reorders and
                        partitions
