@@ -91,7 +91,7 @@ def measure(seconds: float) -> Figures:
         folder = KeysFolder.of("swarm", Path(temporary) / "identity")
         authority = Authority.make(folder)
         for name, role in (*NAMES, *((f"away{number}", "robot") for number in range(OTHERS))):
-            authority.issue(name, role)  # type: ignore[arg-type]  # a literal in a generator is a plain str
+            authority.issue(name, role)
         listener.bind(("127.0.0.1", 0))
         port = listener.getsockname()[1]
         sides = [Side(_config(scheme), folder, offset) for scheme, offset in (("tcp", 0.1), ("tls", 0.5))]

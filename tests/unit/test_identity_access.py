@@ -163,12 +163,19 @@ def test_each_key_is_published_and_received_by_those_who_may_and_no_others(secur
 
 def test_nobody_queries_answers_or_watches_anything_else(secured: SecuredHub) -> None:
     seen: list[str] = []
-    answer = zenoh.handlers.Callback(lambda query: query.reply("test/core/heartbeat/core", b"x"), indirect=False)
+
+    def reply(query: zenoh.Query) -> None:
+        query.reply("test/core/heartbeat/core", b"x")
+
+    def watched(sample: zenoh.Sample) -> None:
+        seen.append(str(sample.key_expr))
+
+    answer = zenoh.handlers.Callback(reply, indirect=False)
+    watch = zenoh.handlers.Callback(watched, indirect=False)
     with secured.session("core") as core, secured.session("r1") as robot, secured.session("anna") as anna:
         for session in (core, robot):
             session.declare_queryable("test/**", answer)
             session.liveliness().declare_token("test/core/alive")
-        watch = zenoh.handlers.Callback(lambda sample: seen.append(str(sample.key_expr)), indirect=False)
         anna.liveliness().declare_subscriber("**", watch, history=True)
         assert _admitted(robot)
         assert _admitted(anna)
@@ -176,7 +183,7 @@ def test_nobody_queries_answers_or_watches_anything_else(secured: SecuredHub) ->
             assert not list(anna.get(key, timeout=0.5)), key
             assert not list(anna.liveliness().get(key, timeout=0.5)), key
         own = f"@/{anna.zid()}/"
-        assert all(str(reply.ok.key_expr).startswith(own) for reply in anna.get("@/**", timeout=0.5) if reply.ok)
+        assert all(str(each.ok.key_expr).startswith(own) for each in anna.get("@/**", timeout=0.5) if each.ok)
     assert not seen
 
 

@@ -158,9 +158,11 @@ def test_what_others_have_sent_cannot_be_sent_again_by_who_recorded_it(secured: 
     senders = {"anna": secured.bus("anna"), "core": secured.bus("core")}
     recorded: list[tuple[str, bytes]] = []
     with secured.session("eve") as eve, secured.session("r1") as robot, secured.session("camera") as camera:
-        record = zenoh.handlers.Callback(
-            lambda sample: recorded.append((str(sample.key_expr), sample.payload.to_bytes())), indirect=False
-        )
+
+        def keep(sample: zenoh.Sample) -> None:
+            recorded.append((str(sample.key_expr), sample.payload.to_bytes()))
+
+        record = zenoh.handlers.Callback(keep, indirect=False)
         for key in ("estop", "behaviour/request", "robot/*/command"):
             eve.declare_subscriber(f"test/*/{key}", record, allowed_origin=zenoh.Locality.REMOTE)
         for bus in senders.values():
