@@ -7,7 +7,9 @@ is one transaction, so a process that dies leaves the last whole state behind.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import sqlite3
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -68,6 +70,7 @@ class Store:
         try:
             if path is not None:
                 path.parent.mkdir(parents=True, exist_ok=True)
+                _make_private(path)
             # The runtime's thread may be another than the one that built the nodes; only one uses it at a time.
             self._db = sqlite3.connect(
                 path or ":memory:", timeout=BUSY_S, isolation_level=None, check_same_thread=False
@@ -158,6 +161,20 @@ class Store:
         except ConfigError as error:
             log.error("not saved: the next start will not restore it", error=str(error), keys=sorted(values)[:5])
 
+    def forget(self, *keys: str) -> None:
+        """Take keys away with all their changes, as if they had never been set; a failure is logged, as in `keep`."""
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                for table in ("entry", "history"):
+                    self._db.executemany(f"DELETE FROM {table} WHERE key = ?", [(key,) for key in keys])  # noqa: S608
+            except sqlite3.Error:
+                self._db.execute("ROLLBACK")
+                raise
+            self._db.execute("COMMIT")
+        except sqlite3.Error as error:
+            log.error("not taken out of the database", error=str(self._explain(error)), keys=sorted(keys)[:5])
+
     def seed(self, entries: Mapping[str, Stored], author: str = SEED) -> tuple[str, ...]:
         """Write the values of the TOML files, where nothing else was written since; return the keys that changed."""
         changed: dict[str, Stored] = {}
@@ -214,6 +231,14 @@ class Store:
         else:
             hint = "check that the folder exists, is writable and has room"
         return ConfigError(f"the local database fails: {error}", where=str(self.path or "memory"), hint=hint)
+
+
+def _make_private(path: Path) -> None:
+    """Make the file, and what SQLite keeps beside it, for this user only: SQLite gives new ones the file's mode."""
+    os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+    for each in (path, *(path.with_name(path.name + suffix) for suffix in ("-wal", "-shm", "-journal"))):
+        with contextlib.suppress(FileNotFoundError, PermissionError):  # of another user, who has let this one write
+            each.chmod(0o600)
 
 
 def _encode(key: str, value: Stored) -> str:

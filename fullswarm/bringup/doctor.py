@@ -93,10 +93,14 @@ def _family(url: str) -> str:
 def _hub(config: SwarmConfig) -> Check:
     from fullswarm.bus.endpoint import host_of, is_loopback
     from fullswarm.bus.zenoh_bus import ZenohBus
+    from fullswarm.operator.session import own_credentials
     from fullswarm.runtime import Mailbox
 
     endpoint = config.hub.endpoint
-    bus = ZenohBus(Mailbox(), hub=endpoint)
+    try:
+        bus = ZenohBus(Mailbox(), hub=endpoint, credentials=own_credentials(endpoint, config.swarm))
+    except ConfigError as error:
+        return Check("hub", "failure", error.what, error.hint)
     try:
         bus.wait_connected(HUB_S)
     except Unreachable as error:

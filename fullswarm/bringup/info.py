@@ -140,7 +140,7 @@ def _folders() -> dict[str, str]:
         "state (latched e-stops, keys)": platformdirs.user_state_path("fullswarm"),
     }
     found = {name: f"{short(path)}{'' if path.exists() else ', not there'}" for name, path in places.items()}
-    return found | {"logs of `fullswarm up`": f"{short(tempfile.gettempdir())}/fullswarm-*"}
+    return found | {"logs of `fullswarm up`": f"{short(tempfile.gettempdir())}/fullswarm-{os.getuid()}/run-*"}
 
 
 # ---------------------------------------------------------------- what runs, what is plugged in

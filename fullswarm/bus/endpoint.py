@@ -6,6 +6,7 @@ import ipaddress
 import re
 
 from fullswarm.errors import ConfigError
+from fullswarm.identity import Credentials, Role
 
 DEFAULT_HUB = "tcp/127.0.0.1:7447"
 """The hub of this machine (7447 is zenoh's usual port)."""
@@ -49,6 +50,21 @@ def is_loopback(host: str) -> bool:
 def is_secured(endpoint: str) -> bool:
     """Tell whether the hub at `endpoint` asks for certificates."""
     return endpoint.startswith(SECURED)
+
+
+def credentials_at(endpoint: str, swarm: str, name: str, role: Role) -> Credentials | None:
+    """Return the files by which the process `name` of a swarm proves its name at a hub; None: the hub asks for none.
+
+    Raises
+    ------
+    ConfigError
+        The hub is secured, and a file is missing, incomplete or readable by others.
+    """
+    if not is_secured(endpoint):
+        return None
+    from fullswarm.identity.folder import credentials_for
+
+    return credentials_for(swarm, name, role)
 
 
 def check_endpoint(endpoint: str, insecure_network: bool) -> None:

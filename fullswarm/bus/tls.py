@@ -6,6 +6,7 @@ a handshake in memory, then by a handshake with the hub.
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import os
 import socket
@@ -79,18 +80,18 @@ def check_files(credentials: Credentials) -> None:
 
 def problem_of_own(credentials: Credentials) -> str:
     """Return what is wrong with a certificate today: expired, not valid yet, of another authority; empty: nothing."""
-    server, client = _context(credentials, ssl.PROTOCOL_TLS_SERVER), ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    server.verify_mode = ssl.CERT_NONE
+    # One side has the certificate and verifies nothing, the other verifies it for what it is used for.
+    listens = credentials.role == "hub"
+    server, client = (_context(credentials, each) for each in (ssl.PROTOCOL_TLS_SERVER, ssl.PROTOCOL_TLS_CLIENT))
     client.check_hostname = False
-    client.load_verify_locations(credentials.authority)
+    client.verify_mode = ssl.CERT_REQUIRED if listens else ssl.CERT_NONE
+    server.verify_mode = ssl.CERT_NONE if listens else ssl.CERT_REQUIRED
     to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
     asks, answers = client.wrap_bio(to_client, to_server), server.wrap_bio(to_server, to_client, server_side=True)
     try:
-        for side in (asks, answers, asks):
-            try:
+        for side in (asks, answers, asks, answers):
+            with contextlib.suppress(ssl.SSLWantReadError):
                 side.do_handshake()
-            except ssl.SSLWantReadError:
-                continue
     except ssl.SSLCertVerificationError as error:
         return _own(credentials, error.verify_code)
     return ""
@@ -104,7 +105,7 @@ def _own(credentials: Credentials, code: int) -> str:
         return f"{name} is not valid yet (this computer's clock: {now}); set the clock"
     if code in _FOREIGN:
         return f"{name} is not of the authority in {credentials.authority}; issue it with that authority's folder"
-    return ""
+    return f"{name} is refused (OpenSSL's reason {code})"
 
 
 def explain(endpoint: str, credentials: Credentials | None) -> FullswarmError | None:

@@ -184,12 +184,13 @@ def _ask_swarm(endpoint: str, swarm: str, wanted: bool) -> Known | None:
     from fullswarm.keys import Keys
     from fullswarm.messages import ParamReply, RobotStates
     from fullswarm.operator.params import ParamClient
+    from fullswarm.operator.session import own_credentials
     from fullswarm.output import log_to_stderr
     from fullswarm.runtime import Runtime
 
     log_to_stderr()
     keys, runtime = Keys(swarm), Runtime(MonotonicClock())
-    bus = ZenohBus(runtime.mailbox, hub=endpoint)
+    bus = ZenohBus(runtime.mailbox, hub=endpoint, credentials=own_credentials(endpoint, swarm))
     robots: set[str] = set()
     entries: dict[str, Any] = {}
     received: Counter[str] = Counter()  # states by host: once one repeats, all have been received

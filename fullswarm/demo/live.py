@@ -144,7 +144,7 @@ class LiveDemo:
         self._until(self.show.ready, START_TIMEOUT_S)
         if not self._ended() and not self.show.ready():
             raise Unreachable(
-                f"the swarm was not ready within {START_TIMEOUT_S:.0f} s", where=str(folder),
+                f"the swarm was not ready within {START_TIMEOUT_S:.0f} s", where=str(self.supervisor.kept_folder()),
                 hint="the logs there say why",
             )  # fmt: skip
 

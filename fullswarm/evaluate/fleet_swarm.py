@@ -18,7 +18,6 @@ from typing import Protocol
 import numpy as np
 
 from fullswarm import kernels, output
-from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import AgentConfig, SwarmConfig
@@ -37,8 +36,10 @@ from fullswarm.evaluate.witness import ReportedWitness, Witness, in_safe_set
 from fullswarm.geometry import wrap
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
+from fullswarm.launch.processes import hub_at
 from fullswarm.messages import PoseFix
 from fullswarm.operator.estop import EStopOrder
+from fullswarm.operator.session import own_credentials
 from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime
 from fullswarm.simulation.starts import start_problems
@@ -224,8 +225,9 @@ class FleetRunner:
         def on_fix(fix: PoseFix) -> None:
             fixes[fix.robot] = runtime.now_s(), fix
 
-        with Hub(config.hub.endpoint, insecure_network=self._insecure_network):
-            bus = ZenohBus(runtime.mailbox, hub=config.hub.endpoint)
+        hub = config.hub.endpoint
+        with hub_at(hub, config.swarm, self._insecure_network):
+            bus = ZenohBus(runtime.mailbox, hub=hub, credentials=own_credentials(hub, config.swarm))
             try:
                 bus.subscribe(Keys(config.swarm).pose_fix(), PoseFix, on_fix)
                 self._discard_typed()

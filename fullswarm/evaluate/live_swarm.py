@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
@@ -37,6 +36,7 @@ from fullswarm.launch.supervisor import USAGE, Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import Needs, RequestStatus, Value
 from fullswarm.operator.client import Operator
+from fullswarm.operator.session import own_credentials
 from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.reasons import Code
 from fullswarm.runtime import Mailbox, Runtime, Timer
@@ -88,7 +88,8 @@ class LiveSwarm:
         )
         self.config = config = self.supervisor.config
         self.keys = Keys(config.swarm)
-        self.bus = ZenohBus(self.runtime.mailbox, hub=config.hub.endpoint)
+        hub = config.hub.endpoint
+        self.bus = ZenohBus(self.runtime.mailbox, hub=hub, credentials=own_credentials(hub, config.swarm))
         self.operator = Operator(
             on_network(self.bus, self.runtime, config, OPERATOR),
             self.keys,
@@ -359,13 +360,13 @@ class LiveSwarm:
             self.operator.close()
             self.view.close()
             self.summaries.close()
+            if self.kept:
+                self.supervisor.kept_folder()
             self.supervisor.close()
         finally:
             if self.world is not None:
                 self.world.close()
             self.bus.close()
-            if not self.kept:
-                shutil.rmtree(self.supervisor.folder, ignore_errors=True)
 
     def _ended_text(self, dead: tuple[str, ...]) -> str:
         """Say which processes ended, with their last output."""

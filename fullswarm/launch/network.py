@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import socket
-import tempfile
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -16,6 +14,7 @@ from fullswarm.drivers.fleet_file import in_frame
 from fullswarm.drivers.make import emulated_as
 from fullswarm.earth import SITL_ORIGIN_DEG
 from fullswarm.errors import Unreachable
+from fullswarm.launch.run_folder import user_folder
 from fullswarm.runtime import Scheduler
 
 FILE_KEY = "network.conditions"
@@ -66,9 +65,15 @@ def on_network(bus: SenderBus, scheduler: Scheduler, config: SwarmConfig, name: 
 
 # ---------------------------------------------------------------- free ports
 def port_folder(config: SwarmConfig) -> Path:
-    """Return where the ports of a swarm's emulated robots are; the same for the world and the agents of one user."""
+    """Return where the ports of a swarm's emulated robots are; the same for the world and the agents of one user.
+
+    Raises
+    ------
+    ConfigError
+        The user's folder for them is a link, or open to others.
+    """
     world = config.world_or_default.address.rpartition(":")[2]
-    return Path(tempfile.gettempdir()) / f"fullswarm-{os.getuid()}" / f"{config.swarm}-{world}"
+    return user_folder() / f"{config.swarm}-{world}"
 
 
 def emulated_url(config: SwarmConfig, robot: RobotConfig) -> str:
@@ -111,7 +116,9 @@ def on_free_ports(config: SwarmConfig, *, prefer_configured: bool = True) -> Swa
     world_port = _free(socket.SOCK_DGRAM, parse_address(world.address, where="world.address")[1], prefer_configured)
     free = config.model_copy(
         update={
-            "hub": config.hub.model_copy(update={"endpoint": f"tcp/{LOOPBACK}:{hub_port}"}),
+            "hub": config.hub.model_copy(
+                update={"endpoint": f"{config.hub.endpoint.partition('/')[0]}/{LOOPBACK}:{hub_port}"}
+            ),
             "world": world.model_copy(update={"address": f"{LOOPBACK}:{world_port}"}),
         }
     )

@@ -8,6 +8,7 @@ import re
 import signal
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import platformdirs
@@ -15,17 +16,21 @@ import structlog
 
 from fullswarm import registry
 from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus, SenderBus
-from fullswarm.bus.endpoint import host_of, is_loopback
+from fullswarm.bus.endpoint import credentials_at, host_of, is_loopback, is_secured
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames, in_frame
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.identity import Role
 from fullswarm.keys import Keys
 from fullswarm.launch.liveness import report_alive
 from fullswarm.launch.nodes import Node, process_id
 from fullswarm.output import INTERRUPTED
 from fullswarm.reasons import Reason
 from fullswarm.runtime import Mailbox, Runtime
+
+if TYPE_CHECKING:
+    from fullswarm.bus.hub import Hub
 
 RUN = "FULLSWARM_RUN"
 """Folder of the `up` or `demo` that started this process; it ends with the run, as its simulated bodies do."""
@@ -34,6 +39,9 @@ STATE = "FULLSWARM_STATE"
 log = structlog.get_logger()
 
 PARENT_CHECK_S = 0.25
+GRANTS_CHECK_S = 0.5
+"""How often a hub looks whether its list of valid certificates has changed."""
+ROLE_OF: dict[str, Role] = {CORE: "core", CENTRALISED: "centralised", WORLD: "world"}
 PARENT = "FULLSWARM_PARENT"
 """Process id of the parent. Asking the system would come too late: the parent may die while this process imports."""
 
@@ -72,17 +80,78 @@ def usual_audit_folder(swarm: str) -> Path:
     return state_folder() / "audit" / swarm
 
 
-def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
-    """Serve as the hub at a zenoh endpoint such as ``tcp/127.0.0.1:7447``."""
-    from fullswarm.bus.hub import Hub
+def hub(endpoint: str, swarm: str, insecure_network: bool, with_parent: bool) -> int:
+    """Serve as the hub at a zenoh endpoint such as ``tcp/127.0.0.1:7447`` or ``tls/10.0.0.2:7447``."""
     from fullswarm.output import progress
 
     runtime = Runtime(MonotonicClock())
-    with Hub(endpoint, insecure_network=insecure_network):
+    if is_secured(endpoint):
+        return _secured_hub(runtime, endpoint, swarm, with_parent)
+    with hub_at(endpoint, swarm, insecure_network):
         progress(f"hub: listening at {endpoint}")
         if insecure_network and is_loopback(host_of(endpoint)):
             progress("only this machine reaches it; for others: --listen tcp/ADDRESS:7447, an address of this machine")
         return _serve(runtime, [], with_parent)
+
+
+def hub_at(endpoint: str, swarm: str, insecure_network: bool) -> Hub:
+    """Return the hub of a swarm, not open yet; a secured one with its certificate and the list of valid ones.
+
+    Raises
+    ------
+    ConfigError
+        The address is open to the network without certificates, or a secured one and the hub's files are not there.
+    """
+    from fullswarm.bus.hub import Hub
+    from fullswarm.identity import read_grants
+    from fullswarm.identity.folder import grants_file
+
+    credentials = credentials_at(endpoint, swarm, "hub", "hub")
+    grants = () if credentials is None else read_grants(grants_file(swarm))
+    return Hub(endpoint, insecure_network=insecure_network, credentials=credentials, swarm=swarm, grants=grants)
+
+
+def _secured_hub(runtime: Runtime, endpoint: str, swarm: str, with_parent: bool) -> int:
+    """Serve as a secured hub, and follow changes of the list of valid certificates and of its own certificate."""
+    from fullswarm.identity import read_grants
+    from fullswarm.identity.folder import credentials_for, grants_file
+    from fullswarm.output import progress
+
+    listed = grants_file(swarm)
+    followed = (listed, credentials_for(swarm, "hub", "hub").certificate)
+    seen = contents(followed)
+    hub = hub_at(endpoint, swarm, insecure_network=False)
+
+    def follow() -> None:
+        nonlocal seen
+        now = contents(followed)
+        if now == seen:
+            return
+        seen = now
+        try:
+            grants = read_grants(listed)
+        except ConfigError as error:
+            log.error("the list of valid certificates is not used; the one before stays valid", reason=str(error))
+            return
+        hub.reopen(grants)
+        log.info("the list of valid certificates has changed", certificates=len(grants))
+
+    with hub:
+        progress(f"hub: listening at {endpoint}, for the valid certificates of swarm '{swarm}'")
+        runtime.every(GRANTS_CHECK_S, follow)
+        return _serve(runtime, [], with_parent)
+
+
+def contents(paths: Iterable[Path]) -> tuple[bytes | None, ...]:
+    """Return the contents of files; None: it cannot be read."""
+    return tuple(_content(path) for path in paths)
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None
 
 
 def core(config: SwarmConfig, with_parent: bool) -> int:
@@ -209,20 +278,39 @@ def _entry(config: SwarmConfig, robot: str) -> RobotConfig:
 
 
 def serve_on_bus(
-    config: SwarmConfig, with_parent: bool, build: Callable[[SenderBus, Runtime], Iterable[Node]], name: str
+    config: SwarmConfig,
+    with_parent: bool,
+    build: Callable[[SenderBus, Runtime], Iterable[Node]],
+    name: str,
+    identity: tuple[str, Role] | None = None,
 ) -> int:
     """Serve the nodes that `build` makes, on the fleet's bus and the machine's clock; return the exit code.
 
-    `name` is what a partition of the fleet's network calls this process.
+    Parameters
+    ----------
+    name
+        What a partition of the fleet's network calls this process.
+    identity
+        Name and role of its certificate; None: `name`, and the role of that name, else ``robot``.
     """
     from fullswarm.bus.zenoh_bus import ZenohBus
     from fullswarm.launch.network import on_network
 
     mailbox = Mailbox()
     runtime = Runtime(MonotonicClock(), mailbox)
-    bus = ZenohBus(mailbox, hub=config.hub.endpoint)
+    own, role = identity or (name, ROLE_OF.get(name, "robot"))
+    endpoint = config.hub.endpoint
+    credentials = credentials_at(endpoint, config.swarm, own, role)
+    bus = ZenohBus(mailbox, hub=endpoint, credentials=credentials)
     try:
-        return _serve(runtime, build(on_network(bus, runtime, config, name), runtime), with_parent)
+        shown = on_network(bus, runtime, config, name)
+        nodes = list(build(shown, runtime))
+        if credentials is not None:
+            from fullswarm.bus.renewal import renewal_node
+
+            renewal = renewal_node(shown, runtime, Keys(config.swarm), credentials)
+            nodes += [] if renewal is None else [renewal]
+        return _serve(runtime, nodes, with_parent)
     finally:
         bus.close()
 

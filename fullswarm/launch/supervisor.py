@@ -14,7 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -29,6 +29,7 @@ from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch.liveness import ALIVE, AlivePipe
 from fullswarm.launch.processes import PARENT, RUN
+from fullswarm.launch.run_folder import RunFolder, bound_log
 from fullswarm.messages import ProcessEnd, ProcessPhase, ProcessReport, ProcessState
 from fullswarm.runtime import Scheduler
 
@@ -47,7 +48,10 @@ REPORT_S = 0.5
 """`status` collects for a second."""
 LONGEST_TEXT = 500
 END_S = 2.0
-"""How long a process may take to end before it is killed; ours take well under a second."""
+"""How long processes may take to end before they are killed; ours take well under a second."""
+LOG_BYTES = 4 * 2**20
+"""A longer log of a process begins anew, and what it held is kept once."""
+LOGS_S = 1.0
 FROZEN: Literal["frozen"] = "frozen"
 CONSOLE = "console"
 STORE = "core.db"
@@ -114,9 +118,11 @@ class Supervisor:
     _reports: tuple[Bus, str, str] | None = None  # bus, key, host
     _reported_s: float = -REPORT_S
     _watched_s: float = 0.0
-    folder: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="fullswarm-")))
+    _run: RunFolder = field(default_factory=RunFolder)
+    folder: Path = field(init=False)
 
     def __post_init__(self) -> None:
+        self.folder = self._run.path
         network = self.config.network
         if network.conditions is not None and network.since_s is None:
             # One zero for all, also for a process that is started again; they share this machine's clock.
@@ -129,7 +135,7 @@ class Supervisor:
         write_swarm(self._with_memory(), fleet)
         network = ("--insecure-network",) if self.insecure_network else ()
         file = ("--fleet", str(fleet))
-        self.add("hub", "hub", "--listen", self.config.hub.endpoint, *network)
+        self.add("hub", "hub", "--listen", self.config.hub.endpoint, "--swarm", self.config.swarm, *network)
         self.add("core", "core", *file)
         self.add("centralised", "centralised", *file)
         if self.world and any(each.simulated for each in self.config.robot):
@@ -140,6 +146,7 @@ class Supervisor:
         for child in self.children.values():
             self._spawn(child)
         self.scheduler.every(WATCH_S, self._watch)
+        self.scheduler.every(LOGS_S, self._bound_logs)
 
     def add(self, name: str, *arguments: str, guest: bool = False) -> None:
         """Have another process of the ``fullswarm`` command beside the swarm's own; before :meth:`start`.
@@ -176,7 +183,7 @@ class Supervisor:
 
     def log_tail(self, name: str, lines: int = 5) -> str:
         """Return the end of what a child wrote to stderr."""
-        path = self.folder / f"{name}.log"
+        path = self._log_file(name)
         return "\n".join(path.read_text(errors="replace").splitlines()[-lines:]) if path.exists() else ""
 
     def report_to(self, bus: SenderBus) -> None:
@@ -184,20 +191,39 @@ class Supervisor:
         host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname())[:64]
         self._reports = NamedBus(bus, CORE), Keys(self.config.swarm).processes(host), host
 
+    def kept_folder(self) -> Path:
+        """Return the folder with the logs, which then outlasts this run for some days: for an error that names it."""
+        self._run.keep()
+        return self.folder
+
     def close(self) -> None:
-        """End all: robots first, so that each stops its own wheels while the rest is still there."""
-        support = (CONSOLE, "world", "centralised", "core", "hub")
-        robots = [each for each in self.children.values() if each.name not in support]
+        """End all: robots first, so that each stops its own wheels while the rest is still there. Remove the folder."""
+        support = ("world", "centralised", "core", "hub")
         rest = [self.children[name] for name in support if name in self.children]
-        for group in (robots, rest):
-            for child in group:
-                if child.process is not None and child.process.poll() is None:
-                    child.process.terminate()
-            for child in group:
-                _reap(child)
+        console = [self.children[name] for name in (CONSOLE,) if name in self.children]  # nothing needs it
+        robots = [each for each in self.children.values() if each not in (*rest, *console)]
+        _terminate((*robots, *console))
+        self._reap(robots)
+        _terminate(rest)
+        self._reap((*console, *rest))
         for child in self.children.values():
             if child.pipe is not None:
                 child.pipe.close()
+        self._run.close()
+
+    def _reap(self, children: Iterable[Child]) -> None:
+        """Wait until processes have ended, all of them for `END_S` at most; then kill."""
+        until_s = self.scheduler.now_s() + END_S
+        for child in children:
+            if child.process is None:
+                continue
+            try:
+                child.process.wait(max(0.0, until_s - self.scheduler.now_s()))
+            except subprocess.TimeoutExpired:
+                log.warning("a process did not end and is killed", process=child.name)
+                with contextlib.suppress(ProcessLookupError):
+                    child.process.kill()
+                child.process.wait()
 
     def _with_memory(self) -> SwarmConfig:
         """Return the settings for the children: a core that is started again must know what it had accepted."""
@@ -214,7 +240,7 @@ class Supervisor:
         environment[ALIVE] = str(child.pipe.inherited)
         if self.develop is not None:
             environment[registry.DEVELOP] = str(self.develop)
-        log_file = self.folder / f"{child.name}.log"
+        log_file = self._log_file(child.name)
         with log_file.open("ab") as sink, (self.output(child.name) if child.guest else log_file).open("ab") as data:
             child.process = subprocess.Popen(  # noqa: S603  (our own interpreter and our own module)
                 [sys.executable, "-m", "fullswarm", *child.arguments, "--with-parent"],
@@ -228,6 +254,13 @@ class Supervisor:
         child.pipe.close_inherited()
         child.starts += 1
         child.started_s = self.scheduler.now_s()
+
+    def _bound_logs(self) -> None:
+        for child in self.children.values():
+            bound_log(self._log_file(child.name), LOG_BYTES)
+
+    def _log_file(self, name: str) -> Path:
+        return self.folder / f"{name}.log"
 
     def _watch(self) -> None:
         now_s = self.scheduler.now_s()
@@ -300,13 +333,7 @@ def _state(child: Child, now_s: float) -> ProcessState:
     )
 
 
-def _reap(child: Child) -> None:
-    if child.process is None:
-        return
-    try:
-        child.process.wait(END_S)
-    except subprocess.TimeoutExpired:
-        log.warning("a process did not end and is killed", process=child.name)
-        with contextlib.suppress(ProcessLookupError):
-            child.process.kill()
-        child.process.wait()
+def _terminate(children: Iterable[Child]) -> None:
+    for child in children:
+        if child.process is not None and child.process.poll() is None:
+            child.process.terminate()

@@ -6,7 +6,8 @@ import signal
 from pathlib import Path
 
 from fullswarm.audit.log import unlocked
-from fullswarm.bus.endpoint import check_endpoint
+from fullswarm.bus.base import CORE
+from fullswarm.bus.endpoint import check_endpoint, credentials_at
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
@@ -75,7 +76,8 @@ def run(
     runtime = Runtime(MonotonicClock())
     runtime.stop_on_signals()
     supervisor = Supervisor(config, runtime, insecure_network=insecure_network, develop=develop)
-    bus = ZenohBus(runtime.mailbox, hub=config.hub.endpoint)
+    credentials = credentials_at(config.hub.endpoint, config.swarm, CORE, "core")
+    bus = ZenohBus(runtime.mailbox, hub=config.hub.endpoint, credentials=credentials)
     supervisor.report_to(bus)
     try:
         if develop is not None:

@@ -19,6 +19,7 @@ from fullswarm.bus.endpoint import is_loopback
 from fullswarm.clock import Clock
 from fullswarm.config import DEFAULT_HUB, HubConfig, SwarmConfig
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.identity import Role
 from fullswarm.keys import ROBOT_ID, Keys
 from fullswarm.localization.mocap import UNITS, Format, Refused, Sighting
 from fullswarm.messages import HealthReport, ObjectFix, PoseFix
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
     from fullswarm.launch.nodes import Node
 
 log = structlog.get_logger()
+
+IDENTITY = "fixes"
+"""Name of the certificate with which it connects to a secured hub; its role is ``source``."""
 
 MAX_BYTES = 65_536
 WAITING = 1024
@@ -287,4 +291,5 @@ def run(hub: str | None, swarm: str, options: Options, with_parent: bool) -> int
         log.info("listening", udp=port.address, swarm=swarm, hub=config.hub.endpoint)
         return [node, port]
 
-    return serve_on_bus(config, with_parent, build, WORLD)  # where the simulated world stands in simulation
+    identity: tuple[str, Role] = (IDENTITY, "source")
+    return serve_on_bus(config, with_parent, build, WORLD, identity)  # where the simulated world stands in simulation

@@ -13,9 +13,12 @@ from dataclasses import dataclass
 from types import FrameType
 
 from fullswarm.bus.base import Bus
+from fullswarm.bus.endpoint import credentials_at
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, Unreachable
+from fullswarm.identity import Credentials
+from fullswarm.identity.folder import certificate_name
 from fullswarm.keys import Keys
 from fullswarm.operator.client import Operator
 from fullswarm.output import log_to_stderr
@@ -112,6 +115,22 @@ class Session:
         )
 
 
+def own_credentials(hub: str, swarm: str, operator: str = "") -> Credentials | None:
+    """Return the files by which an operator proves its name at a hub; None: the hub asks for none.
+
+    Parameters
+    ----------
+    operator
+        Its name; empty: :func:`usual_name`.
+
+    Raises
+    ------
+    ConfigError
+        The hub is secured, and this operator has no certificate on this computer.
+    """
+    return credentials_at(hub, swarm, certificate_name(operator or usual_name()), "operator")
+
+
 @contextmanager
 def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
     """Open the bus for one command; the hub has `within_s` to answer, 3 s by default.
@@ -121,18 +140,21 @@ def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
     Unreachable
         No hub answers.
     ConfigError
-        The hub's address or the swarm's name is malformed.
+        The hub's address or the swarm's name is malformed, or the hub is secured and this operator has no certificate.
     """
     from fullswarm.bus.base import OPERATOR, NamedBus
+    from fullswarm.bus.renewal import renew_later
     from fullswarm.bus.zenoh_bus import ZenohBus
 
     log_to_stderr()
     keys = Keys(target.swarm)
     runtime = Runtime(MonotonicClock())
     hub = target.hub or DEFAULT_HUB
-    bus = ZenohBus(runtime.mailbox, hub=hub)
+    credentials = own_credentials(hub, target.swarm, target.operator)
+    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
     try:
         bus.wait_connected(CONNECT_S if within_s is None else within_s)
+        renew_later(bus, runtime, keys, credentials)
         yield Session(NamedBus(bus, OPERATOR), keys, runtime, hub, target.operator)
     finally:
         bus.close()

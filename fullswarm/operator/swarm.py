@@ -25,6 +25,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from fullswarm.bus.base import OPERATOR, NamedBus
+from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import DEFAULT_HUB
@@ -47,7 +48,7 @@ from fullswarm.operator.leases import GROUP, LeaseHolder
 from fullswarm.operator.missions import ENDED, SILENT_S, MissionClient, PendingMissionRequest, waiting_steps
 from fullswarm.operator.missions import refusal as mission_refusal
 from fullswarm.operator.outcome import ended, refusal, settled
-from fullswarm.operator.session import operator_name, usual_name
+from fullswarm.operator.session import operator_name, own_credentials, usual_name
 from fullswarm.operator.view import FleetView, RobotRow, Snapshot
 from fullswarm.output import quiet
 from fullswarm.parameters import goals_of
@@ -217,8 +218,10 @@ class Client:
         atexit.register(self.close)
 
     def _build(self, runtime: Runtime) -> None:
-        self._bus = ZenohBus(runtime.mailbox, hub=self.hub)
+        credentials = own_credentials(self.hub, self.keys.swarm, self.name)
+        self._bus = ZenohBus(runtime.mailbox, hub=self.hub, credentials=credentials)
         bus = NamedBus(self._bus, OPERATOR)
+        renew_later(bus, runtime, self.keys, credentials)
         self._runtime = runtime
         self._operator = Operator(bus, self.keys, runtime, self.source, name=self.name, clock=clock_id())
         self._view = FleetView(bus, self.keys, runtime)

@@ -115,9 +115,10 @@ def run(prepared: Prepared, *, open_page: bool, on_address: Callable[[str], None
     finally:
         for each in redirect:
             each.close()
+        where = supervisor.kept_folder() if failures else supervisor.folder
         supervisor.close()
     if failures:
-        raise Unreachable(failures[0], where=str(supervisor.folder), hint="the logs there say why")
+        raise Unreachable(failures[0], where=str(where), hint="the logs there say why")
     if runtime.exit_signal == signal.SIGINT:
         return INTERRUPTED
     record = record_of(prepared.folder)

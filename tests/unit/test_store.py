@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import sqlite3
+import stat
 from pathlib import Path
 
 import pytest
@@ -170,3 +172,19 @@ def test_a_value_that_is_not_json_is_named_with_what_to_do(tmp_path: Path, value
     assert store.get("wanted/r1") is None
     assert len(store.history("*")) == 1
     store.close()
+
+
+def test_files_are_for_this_user_only(tmp_path: Path) -> None:
+    old = os.umask(0)
+    try:
+        for path in (tmp_path / "new.db", tmp_path / "old.db"):
+            if path.name == "old.db":
+                Store(path).close()
+                path.chmod(0o644)  # as an older version made it
+            store = Store(path)
+            store.set("a", 1, "ann")
+            modes = {each.name: stat.S_IMODE(each.stat().st_mode) for each in tmp_path.glob(f"{path.name}*")}
+            assert modes == dict.fromkeys((path.name, f"{path.name}-wal", f"{path.name}-shm"), 0o600)
+            store.close()
+    finally:
+        os.umask(old)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import socket
@@ -18,7 +19,7 @@ from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports
-from fullswarm.launch.supervisor import FIRST_BACKOFF_S, FROZEN_S, SILENT_S, STEADY_S, Supervisor
+from fullswarm.launch.supervisor import END_S, FIRST_BACKOFF_S, FROZEN_S, SILENT_S, STEADY_S, Supervisor
 from fullswarm.operator.render import footer_lines
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Runtime
@@ -117,8 +118,8 @@ def test_a_core_that_is_started_again_knows_what_it_had_accepted(
     mine = tmp_path / "mine.db"
     made = Supervisor(SwarmConfig.model_validate({"core": {"store": mine} if named else {}}), Runtime(SimClock()))
     made.start()
-    made.close()
     assert load_swarm(made.folder / "fleet.toml").core.store == (mine if named else made.folder / "core.db")
+    made.close()
 
 
 def end(supervisor: Supervisor, code: int) -> None:
@@ -249,3 +250,63 @@ def test_operators_learn_which_process_ended_and_why(watched: tuple[Runtime, Sup
     runtime.run(0.2)
     assert "hub was frozen and was killed" in hub()[1]
     view.close()
+
+
+class Stubborn:
+    """A process that ends `needs_s` after SIGTERM, on a clock that only waiting moves."""
+
+    def __init__(self, name: str, needs_s: float, clock: SimClock, events: list[tuple[float, str]]) -> None:
+        self.name, self.needs_s, self.clock, self.events = name, needs_s, clock, events
+        self.ends_s = math.inf
+        self.over = False
+
+    def poll(self) -> int | None:
+        return 0 if self.over or self.clock.now_s() >= self.ends_s else None
+
+    def terminate(self) -> None:
+        self.events.append((round(self.clock.now_s(), 3), f"terminate {self.name}"))
+        self.ends_s = self.clock.now_s() + self.needs_s
+
+    def wait(self, timeout: float | None = None) -> int:
+        until_s = self.clock.now_s() + (timeout or 0.0)
+        if not self.over and self.ends_s > until_s:
+            self.clock.advance_to(until_s)
+            raise subprocess.TimeoutExpired(self.name, timeout or 0.0)
+        self.clock.advance_to(self.clock.now_s() if self.over else max(self.clock.now_s(), self.ends_s))
+        return 0
+
+    def kill(self) -> None:
+        self.events.append((round(self.clock.now_s(), 3), f"kill {self.name}"))
+        self.over = True
+
+
+def closed(needs_s: dict[str, float]) -> tuple[float, list[tuple[float, str]]]:
+    """Close a supervisor of such processes; return how long that took, and what happened when."""
+    clock, events = SimClock(), list[tuple[float, str]]()
+    made = Supervisor(SwarmConfig(), Runtime(clock))
+    for name, needed_s in needs_s.items():
+        made.add(name, name)
+        process: Any = Stubborn(name, needed_s, clock, events)
+        made.children[name].process = process
+    made.close()
+    assert not made.folder.exists()
+    return clock.now_s(), events
+
+
+def test_robots_end_first_and_all_others_at_once() -> None:
+    names = ("console", "hub", "core", "centralised", "world", "r1", "r2", "r3", "r4")
+    took_s, events = closed(dict.fromkeys(names, 0.3))
+    first = {f"terminate {name}" for name in ("console", "r1", "r2", "r3", "r4")}
+    assert {text for at_s, text in events if at_s == 0.0} == first
+    assert {text for at_s, text in events if at_s == 0.3} == {f"terminate {name}" for name in names} - first
+    assert took_s == pytest.approx(0.6)
+
+
+def test_processes_that_do_not_end_are_killed_after_one_common_wait() -> None:
+    names = ("console", "hub", "core", "world", *(f"r{number}" for number in range(20)))
+    took_s, events = closed(dict.fromkeys(names, math.inf))
+    assert took_s == pytest.approx(2 * END_S)
+    assert {text for _, text in events if text.startswith("kill")} == {f"kill {name}" for name in names}
+    robots_killed = [at_s for at_s, text in events if text.startswith("kill r")]
+    support_asked = [at_s for at_s, text in events if text in ("terminate hub", "terminate core", "terminate world")]
+    assert max(robots_killed) <= min(support_asked)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import importlib
 import ipaddress
 import json
@@ -21,7 +22,8 @@ from typing import TYPE_CHECKING
 
 from fullswarm import __version__, output
 from fullswarm.bus.base import OPERATOR, NamedBus
-from fullswarm.bus.endpoint import is_loopback
+from fullswarm.bus.endpoint import credentials_at, is_loopback
+from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import DEFAULT_HUB
@@ -166,7 +168,10 @@ async def _serve(
     runtime = Runtime(MonotonicClock())
     port = listener.getsockname()[1]
     failed: list[BaseException] = []
-    bus = ZenohBus(runtime.mailbox, hub=target.hub or DEFAULT_HUB)
+    hub = target.hub or DEFAULT_HUB
+    credentials = credentials_at(hub, target.swarm, "console", "console")
+    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
+    renew_later(bus, runtime, keys, credentials)
     try:
         process = f"console@{socket.gethostname()}:{os.getpid()}"
         identity = Identity(
@@ -186,6 +191,8 @@ async def _serve(
         address = url(host, port, token, options.allow_hosts)
         loop.call_soon(on_start, address, runtime, lambda: setattr(server, "should_exit", True))
         loop.call_soon(runtime_loop.wake)
+        gc.collect()
+        gc.freeze()  # what is built once need not be collected, least of all at the end, which would take longest
         await server.serve([listener])
         gateway.close()
         runtime_loop.close()

@@ -52,6 +52,8 @@ from fullswarm.rehearse.live.plan import Fault, conditions, plan
 from fullswarm.runtime import Mailbox, Runtime
 
 OPERATOR_MODULE = "fullswarm.rehearse.live.operator_process"
+LOSS = 0.01
+"""Share of all messages that is lost all the time."""
 DISK_FULL = "core's disk full"
 OPERATORS = (("ann", "ann-shell"), ("ann", "ann-pad"), ("bob", "bob-shell"))
 LOOK_S = 0.1

@@ -1,0 +1,108 @@
+"""A secured hub as a process of its own: it follows the list of valid certificates, with the keys that users make."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from fullswarm.bus.zenoh_bus import ZenohBus
+from fullswarm.identity import Role
+from fullswarm.identity.authority import Authority, revoke
+from fullswarm.identity.folder import KeysFolder
+from fullswarm.keys import Keys
+from fullswarm.messages import Reception
+from fullswarm.runtime import Mailbox
+from tests.unit.secured_hub import free_port
+
+DEADLINE_S = 10.0
+NAMES: tuple[tuple[str, Role], ...] = (("hub", "hub"), ("core", "core"), ("r1", "robot"), ("r2", "robot"))
+KEYS = Keys("lab")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> KeysFolder:
+    made = KeysFolder.of("lab", tmp_path / "identity")
+    authority = Authority.make(made)
+    for name, role in NAMES:
+        authority.issue(name, role)
+    return made
+
+
+@pytest.fixture
+def hub(folder: KeysFolder) -> Iterator[tuple[str, Callable[[], str]]]:
+    """Endpoint of a hub's process, and what it has logged."""
+    endpoint, log = f"tls/127.0.0.1:{free_port()}", folder.path.parent.parent / "hub.log"
+    environment = {**os.environ, "FULLSWARM_IDENTITY": str(folder.path.parent)}
+    command = [sys.executable, "-m", "fullswarm", "hub", "--listen", endpoint, "--swarm", "lab"]
+    with log.open("wb") as sink:
+        process = subprocess.Popen(command, env=environment, stderr=sink, stdout=sink)
+    yield endpoint, log.read_text
+    process.terminate()
+    process.wait(DEADLINE_S)
+
+
+def wait(condition: Callable[[], bool], what: str, within_s: float = DEADLINE_S) -> None:
+    end_s = time.monotonic() + within_s
+    while not condition():
+        time.sleep(0.01)
+        assert time.monotonic() < end_s, what
+
+
+def test_a_revoked_robot_is_out_and_the_others_stay(folder: KeysFolder, hub: tuple[str, Callable[[], str]]) -> None:
+    endpoint, logged = hub
+    mailbox = Mailbox()
+    buses = {
+        name: ZenohBus(
+            mailbox if name == "core" else Mailbox(), hub=endpoint, credentials=folder.credentials(name, role)
+        )
+        for name, role in NAMES
+        if role != "hub"
+    }
+    got: list[Reception] = []
+    buses["core"].subscribe(KEYS.reception(), Reception, got.append)
+    for bus in buses.values():
+        bus.wait_connected(DEADLINE_S)
+
+    def arrive() -> set[str]:
+        for name in ("r1", "r2"):
+            buses[name].publish(KEYS.reception(name), Reception(host=name, robots=(name,), x_m=(0.0,), y_m=(0.0,)))
+        while mailbox.deliver_one(0.01):
+            pass
+        return {each.host for each in got}
+
+    wait(lambda: arrive() == {"r1", "r2"}, "both robots are received")
+    revoke(folder, "r2")
+    wait(lambda: not buses["r2"].connected(), "r2 is out", within_s=5.0)
+    wait(lambda: buses["r1"].connected() and buses["core"].connected(), "the others are back", within_s=5.0)
+    got.clear()
+    wait(lambda: "r1" in arrive(), "r1 is received")
+    for _ in range(20):
+        arrive()
+    assert {each.host for each in got} == {"r1"}
+    folder.grants_path.write_bytes(b"[{")
+    wait(lambda: "is not used; the one before stays valid" in logged(), "the torn list is logged")
+    assert buses["r1"].connected()
+    for bus in buses.values():
+        bus.close()
+
+
+def test_a_hub_without_keys_names_the_command(tmp_path: Path) -> None:
+    environment = {**os.environ, "FULLSWARM_IDENTITY": str(tmp_path)}
+    command = [sys.executable, "-m", "fullswarm", "hub", "--listen", f"tls/127.0.0.1:{free_port()}", "--swarm", "lab"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 2
+    assert "fullswarm keys init" in done.stderr
+
+
+def test_an_open_address_without_tls_names_both_commands() -> None:
+    command = [sys.executable, "-m", "fullswarm", "hub", "--listen", "tcp/0.0.0.0:7447"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 2
+    assert "fullswarm keys init" in done.stderr
+    assert "--listen tls/0.0.0.0:7447" in done.stderr
