@@ -18,19 +18,20 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import msgspec
 
+from fullswarm.audit.verify import verify
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports
-from fullswarm.launch.supervisor import Supervisor
+from fullswarm.launch.supervisor import STORE, Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import (
     BehaviourRequest,
@@ -496,6 +497,7 @@ class LiveReport:
     robot_requests: int
     accepted: int
     executions: int
+    audited: int  # entries of the audit log
     recoveries: tuple[Recovery, ...]
     wrong: dict[str, list[str]]
     began_s: float  # on the monotonic clock of `wrong`
@@ -525,6 +527,7 @@ def report_of(live: LiveRehearsal) -> LiveReport:
         robot_requests=sum(len(each.robots) for each in record.asks.values() if each.behaviour),
         accepted=len(record.accepted()),
         executions=len(record.ran),
+        audited=0,
         recoveries=tuple(_recovery(live, kind) for kind in dict.fromkeys(each.kind for each in live.faults)),
         wrong={
             "uncommanded motions": verdict.uncommanded,
@@ -557,7 +560,7 @@ def text_of(report: LiveReport) -> str:
     asked = f"{report.requests} requests and stops, {report.robot_requests} robot-requests, "
     lines = [
         f"{tried}{100 * report.loss:g} % loss",
-        f"{asked}{report.accepted} accepted, {report.executions} executions",
+        f"{asked}{report.accepted} accepted, {report.executions} executions, {report.audited} entries audited",
         "",
         f"{'fault':22}{'count':>6}{'median s':>10}{'longest s':>11}{'not over':>10}   (until all run their requests)",
     ]
@@ -590,13 +593,15 @@ def rehearse_live(robots: int, seconds: float, every_s: float, seed: int, loss: 
         The swarm was not ready in time.
     """
     live = LiveRehearsal(robots, seconds, every_s, seed, loss)
-    keep = True
+    folder = live.supervisor.kept_folder()
     try:
         live.run()
         report = report_of(live)
-        keep = report.failed
     finally:
         live.close()
-        if not keep:
-            shutil.rmtree(live.folder, ignore_errors=True)
+    audit = verify(folder / "audit", folder / STORE)  # after the core has ended: it writes in batches
+    problems = audit.problems if audit.entries else ["no entries"]
+    report = replace(report, audited=audit.entries, wrong={**report.wrong, "problems of the audit log": problems})
+    if not report.failed:
+        shutil.rmtree(folder, ignore_errors=True)
     return report
