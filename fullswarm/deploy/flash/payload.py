@@ -168,7 +168,7 @@ def boot_files(
             "INSTANCE": boot.instance,
         }
     )
-    package = support_package(robot, around.config, keys.allowed_signers())
+    package = support_package(robot, around.config, keys.roots()[-1])
     large = {"kit.tar": package, "head.tar": shipment.head, "release.tar.gz": shipment.body}
     sums = "".join(f"{hashlib.sha256(content).hexdigest()}  {name}\n" for name, content in large.items())
     files = {

@@ -16,7 +16,7 @@ from fullswarm.deploy.robot.support_package import package_id, support_package
 from fullswarm.errors import ConfigError
 from tests.unit.deploy_robot.script import PROGRAMS, Robot
 
-SCRIPTS = ("fullswarm-robot", "robot-shipping.sh", "robot-facts.sh", "install.sh")
+SCRIPTS = ("fullswarm-robot", "robot-trust.sh", "robot-shipping.sh", "robot-facts.sh", "install.sh")
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
@@ -27,8 +27,8 @@ def test_the_scripts_are_posix_shell(name: str) -> None:
 
 def test_the_same_robot_gets_the_same_kit_and_the_robot_names_it(robot: Robot) -> None:
     config = SwarmConfig(robot=(RobotConfig(id="r1", driver="null://r1"),))
-    one = support_package(config.robot[0], config, robot.keys.allowed_signers())
-    assert one == support_package(config.robot[0], config, robot.keys.allowed_signers())
+    one = support_package(config.robot[0], config, robot.keys.roots()[-1])
+    assert one == support_package(config.robot[0], config, robot.keys.roots()[-1])
     assert robot.facts["kit"] == package_id(one)
     (robot.root / "etc/udev/rules.d/60-fullswarm-ports.rules").write_text("# somebody was here\n")
     assert robot.facts["kit"] is None
