@@ -864,6 +864,25 @@ class Summary(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
+# ---------------------------------------------------------------- certificates
+Pem = Annotated[str, Meta(max_length=4096)]
+
+
+class CertificateRequest(Message, frozen=True, kw_only=True):
+    """A process asks for a new certificate with its name and key."""
+
+    name: ShortText
+    request: Pem  # PKCS #10, signed with its private key
+
+
+class CertificateReply(Message, frozen=True, kw_only=True):
+    """The answer to a CertificateRequest: the newest certificate, or why there is none."""
+
+    name: ShortText
+    certificate: Pem = ""  # X.509 in PEM
+    refused: Annotated[str, Meta(max_length=256)] = ""
+
+
 # ---------------------------------------------------------------- local database (paper II.A)
 class ParamRequest(Message, frozen=True, kw_only=True):
     """Read or write a layer's local database. `key` may end in ``*`` for get and history."""
