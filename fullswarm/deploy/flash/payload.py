@@ -170,7 +170,7 @@ def boot_files(
         }
     )
     credentials = robot_credentials(robot, around.config, wall_time_s())
-    package = support_package(robot, around.config, keys.allowed_signers(), credentials=credentials)
+    package = support_package(robot, around.config, keys.roots()[-1], credentials=credentials)
     large = {"kit.tar": package, "head.tar": shipment.head, "release.tar.gz": shipment.body}
     sums = "".join(f"{hashlib.sha256(content).hexdigest()}  {name}\n" for name, content in large.items())
     files = {

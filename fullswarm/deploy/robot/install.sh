@@ -5,6 +5,9 @@
 #
 # An agent that ran before and does not start with new settings gets its old ones back, and this exits with 1. With
 # --settings-stay (a card's first boot, which switches the release next) the new ones stay even if the agent fails.
+#
+# Run directly, by root or from a card, it makes the robot trust the keys in `root`. With --verified (fullswarm-robot has
+# verified the package with the keys that the robot trusts) those stay.
 set -eu
 LC_ALL=C
 export LC_ALL
@@ -19,8 +22,11 @@ IDENTITY=etc/fullswarm/identity
 SETTINGS="etc/systemd/system/$AGENT etc/fullswarm/fleet.toml etc/fullswarm/robot.env"
 SETTINGS="$SETTINGS $IDENTITY/authority.pem $IDENTITY/certificate.pem $IDENTITY/key.pem"
 START_S=60
-stay=''
-[ "${1-}" != --settings-stay ] || stay=yes
+stay='' verified=''
+case ${1-} in
+--settings-stay) stay=yes ;;
+--verified) verified=yes ;;
+esac
 cd "$(dirname "$(readlink -f "$0")")"
 trap '' PIPE HUP # a broken link must not end the installation
 
@@ -110,6 +116,18 @@ make_user() { # the agent's own, with the groups of ports and gamepads that this
     done
 }
 
+put_trust() { # before all else: without it, the installed tools accept nothing
+    trust=$ROOT/opt/fullswarm/trust
+    [ -z "$verified" ] || return 0
+    [ -z "$stay" ] || rm -f "$trust/newest-release" "$trust/newest-support" # whoever has the card may go back
+    if cmp -s root "$trust/root"; then
+        return 0
+    fi
+    mkdir -p "$trust" && cp root "$trust/root.new~" && rm -f "$trust/newest-release" "$trust/newest-support" &&
+        mv -fT "$trust/root.new~" "$trust/root" || cannot "$trust/root"
+    changed "trusted keys"
+}
+
 reload_sshd() { # connections that are open stay; a server that rejects our lines must not stay down
     sshd=$(command -v sshd || command -v /usr/sbin/sshd) || return 0
     if ! "$sshd" -t 2> /dev/null; then # because of our lines, or was it broken before?
@@ -142,6 +160,7 @@ if [ -e "$ROOT/opt/fullswarm/current" ] && [ -z "$stay" ] && "$SYSTEMCTL" is-act
     running=yes
 fi
 mkdir -p "$ROOT/opt/fullswarm/releases" "$ROOT/opt/fullswarm/bin"
+put_trust
 [ -n "$ROOT" ] || make_user
 while read -r digest path; do
     case $path in
@@ -199,6 +218,8 @@ fi
 for path in $SETTINGS; do
     rm -f "$ROOT/$path.was~"
 done
+
+rm -f "$ROOT/etc/fullswarm/allowed_signers" 2> /dev/null || : # of older tools: nothing reads it any more
 
 # Last, so that this file is there only when all others are.
 if ! cmp -s kit.sums "$NOTIFIED"; then

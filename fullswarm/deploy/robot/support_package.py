@@ -2,12 +2,16 @@
 
 ::
 
+    kit.statement         number, expiry, and digests of install.sh and kit.sums by robot, with their signature
     install.sh            run as root in the folder that the tar was unpacked to; safe to run again
+    root                  root metadata: the keys that the robot trusts after its first installation
     kit.sums              `sha256sum` lines of what follows, by destination: what is installed, and whether it is whole
     files/<destination>   opt/fullswarm/bin, etc/systemd/system, etc/udev/rules.d, etc/fullswarm …
 
 The same input gives the same bytes, so that a robot that has a package already need not get it again: `package_id` of
-the tar is what ``fullswarm-robot facts`` calls ``kit`` while all its files are there unchanged.
+the tar is what ``fullswarm-robot facts`` calls ``kit`` while all its files are there unchanged. Only the statement
+differs each time; `signed` adds it, by one signature for all robots. A first installation, over SSH or from a card,
+does not need it, because the robot trusts no key yet.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import hashlib
 import io
 import re
 import tarfile
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -23,6 +28,9 @@ import tomlkit
 
 from fullswarm.bus.endpoint import host_of, is_loopback, is_secured
 from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release.signatures import SUPPORT_NAMESPACE, sign, split
+from fullswarm.deploy.release.trust import SUPPORT_LIFE_S, support_text
 from fullswarm.errors import ConfigError
 from fullswarm.identity import Credentials
 from fullswarm.identity.folder import AUTHORITY, CERTIFICATE, IDENTITY, ISSUED, KEY, KeysFolder
@@ -30,6 +38,7 @@ from fullswarm.identity.folder import AUTHORITY, CERTIFICATE, IDENTITY, ISSUED, 
 TOOLS = Path(__file__).parent
 DESTINATIONS = {
     "fullswarm-robot": "opt/fullswarm/bin/fullswarm-robot",
+    "robot-trust.sh": "opt/fullswarm/bin/robot-trust.sh",
     "robot-shipping.sh": "opt/fullswarm/bin/robot-shipping.sh",
     "robot-facts.sh": "opt/fullswarm/bin/robot-facts.sh",
     "fullswarm-agent.service": "etc/systemd/system/fullswarm-agent.service",
@@ -40,6 +49,7 @@ DESTINATIONS = {
 }
 """Destination of each file of this folder, from the root."""
 PROGRAMS = frozenset({"install.sh", "opt/fullswarm/bin/fullswarm-robot"})
+TRUST_FIRST = "opt/fullswarm/bin/robot-trust.sh"
 SUDOERS = "etc/sudoers.d/fullswarm"
 ISSUED_TO = "etc/fullswarm/identity"
 """The robot's certificate, its key and the authority's certificate: mode 0600, of the agent's user."""
@@ -53,7 +63,7 @@ _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 def support_package(
     robot: RobotConfig,
     config: SwarmConfig,
-    signers: str,
+    root: str,
     *,
     ssh_user: str | None = None,
     environment: Mapping[str, str] | None = None,
@@ -64,8 +74,8 @@ def support_package(
 
     Parameters
     ----------
-    signers
-        Text of ``allowed_signers``: the keys whose releases the robot accepts.
+    root
+        Root metadata: the keys that the robot trusts after its first installation.
     ssh_user
         The user who may run ``fullswarm-robot`` as root without a password; None: the fleet file's. ``root`` needs no
         rule.
@@ -89,13 +99,42 @@ def support_package(
         files |= {f"{ISSUED_TO}/{name}": path.read_bytes() for name, path in sources.items()}
     files["etc/fullswarm/robot.env"] = robot_env(robot, config, environment).encode()
     files["etc/fullswarm/fleet.toml"] = fleet_file(config).encode()
-    files["etc/fullswarm/allowed_signers"] = signers.encode()
     user = robot.ssh_user if ssh_user is None else ssh_user
     if user != "root":
         files[SUDOERS] = _sudoers(user).encode()
-    sums = "".join(f"{hashlib.sha256(files[path]).hexdigest()}  {path}\n" for path in sorted(files))
+    # The files that it sources come before the program: one that is killed half-way leaves a program that starts.
+    ordered = sorted(files, key=lambda path: (path in PROGRAMS, path != TRUST_FIRST, path))
+    sums = "".join(f"{hashlib.sha256(files[path]).hexdigest()}  {path}\n" for path in ordered)
     members = {f"files/{path}": files[path] for path in sorted(files)}
-    return _tar({"install.sh": (tools / "install.sh").read_bytes(), "kit.sums": sums.encode(), **members})
+    installer = (tools / "install.sh").read_bytes()
+    return _tar({"install.sh": installer, "root": split(root)[0].encode(), "kit.sums": sums.encode(), **members})
+
+
+def signed(packages: Mapping[str, bytes], keys: Keys, *, rename: bool = False) -> dict[str, bytes]:
+    """Return support packages, by robot, with the statement by which robots that trust our keys accept them.
+
+    Parameters
+    ----------
+    rename
+        Robots that have another name accept theirs, too.
+
+    Raises
+    ------
+    ConfigError
+        The release key cannot sign, or robots do not trust it.
+    """
+    key, number = keys.signing_key(), keys.next_number()
+    parts = {robot: (_digest(each, "install.sh"), _digest(each, "kit.sums")) for robot, each in packages.items()}
+    text = support_text(number, max(number, int(time.time())) + SUPPORT_LIFE_S, parts, rename=rename)
+    document = (text + sign(text.encode(), SUPPORT_NAMESPACE, key)).encode()
+    return {robot: _member("kit.statement", document) + archive for robot, archive in packages.items()}
+
+
+def _digest(archive: bytes, name: str) -> str:
+    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
+        member = tar.extractfile(name)
+        assert member is not None  # noqa: S101  (`support_package` adds it)
+        return hashlib.sha256(member.read()).hexdigest()
 
 
 def check_hub(robot: RobotConfig, config: SwarmConfig) -> None:
@@ -145,10 +184,7 @@ def robot_credentials(robot: RobotConfig, config: SwarmConfig, now_s: float) -> 
 
 def package_id(archive: bytes) -> str:
     """Return the id of a support package: what ``fullswarm-robot facts`` reports while it is installed unchanged."""
-    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
-        sums = tar.extractfile("kit.sums")
-        assert sums is not None  # noqa: S101  (`support_package` adds it)
-        return hashlib.sha256(sums.read()).hexdigest()[:12]
+    return _digest(archive, "kit.sums")[:12]
 
 
 def fleet_file(config: SwarmConfig) -> str:
@@ -193,8 +229,17 @@ def _tar(members: Mapping[str, bytes]) -> bytes:
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for name, content in members.items():
-            entry = tarfile.TarInfo(name)
-            entry.size = len(content)
-            entry.mode = _mode(name.removeprefix("files/"))
-            tar.addfile(entry, io.BytesIO(content))
+            tar.addfile(_entry(name, content), io.BytesIO(content))
     return buffer.getvalue()
+
+
+def _entry(name: str, content: bytes) -> tarfile.TarInfo:
+    entry = tarfile.TarInfo(name)
+    entry.size = len(content)
+    entry.mode = _mode(name.removeprefix("files/"))
+    return entry
+
+
+def _member(name: str, content: bytes) -> bytes:
+    """Return one member of a tar, to be put before an archive."""
+    return _entry(name, content).tobuf(tarfile.USTAR_FORMAT) + content + bytes(-len(content) % tarfile.BLOCKSIZE)

@@ -18,7 +18,7 @@ from fullswarm.identity.authority import Authority, revoke
 from fullswarm.identity.folder import IDENTITY, ISSUED, KeysFolder, credentials_for
 from tests.unit.deploy_robot.script import PROGRAMS, Robot
 
-SCRIPTS = ("fullswarm-robot", "robot-shipping.sh", "robot-facts.sh", "install.sh")
+SCRIPTS = ("fullswarm-robot", "robot-trust.sh", "robot-shipping.sh", "robot-facts.sh", "install.sh")
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
@@ -29,8 +29,8 @@ def test_the_scripts_are_posix_shell(name: str) -> None:
 
 def test_the_same_robot_gets_the_same_kit_and_the_robot_names_it(robot: Robot) -> None:
     config = SwarmConfig(robot=(RobotConfig(id="r1", driver="null://r1"),))
-    one = support_package(config.robot[0], config, robot.keys.allowed_signers())
-    assert one == support_package(config.robot[0], config, robot.keys.allowed_signers())
+    one = support_package(config.robot[0], config, robot.keys.roots()[-1])
+    assert one == support_package(config.robot[0], config, robot.keys.roots()[-1])
     assert robot.facts["kit"] == package_id(one)
     (robot.root / "etc/udev/rules.d/60-fullswarm-ports.rules").write_text("# somebody was here\n")
     assert robot.facts["kit"] is None
@@ -113,7 +113,7 @@ def authority(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Authority:
 def secured_kit(robot: Robot) -> bytes:
     credentials = robot_credentials(SECURED.robot[0], SECURED, NOW_S)
     assert credentials is not None
-    return support_package(SECURED.robot[0], SECURED, robot.keys.allowed_signers(), credentials=credentials)
+    return support_package(SECURED.robot[0], SECURED, robot.keys.roots()[-1], credentials=credentials)
 
 
 def install(robot: Robot, kit: bytes, folder: Path) -> subprocess.CompletedProcess[str]:
