@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -51,19 +51,19 @@ class Lab:
         self.environment = {**os.environ, **plain, IDENTITY: str(folder / "identity"), "FULLSWARM_OPERATOR": "anna"}
         self.up: subprocess.Popen[bytes] | None = None
 
-    def run(self, *words: str, code: int = 0, **environment: str) -> str:
+    def run(self, *words: str, code: int = 0, env: Mapping[str, str] | None = None) -> str:
         """Run a command; return its stdout, or of one that fails its stderr."""
         done = subprocess.run(
             [sys.executable, "-m", "fullswarm", *words],
-            env=self.environment | environment, capture_output=True, text=True, timeout=60, check=False,
+            env={**self.environment, **(env or {})}, capture_output=True, text=True, timeout=60, check=False,
         )  # fmt: skip
         assert done.returncode == code, done.stderr
         assert "Traceback" not in done.stderr
         return done.stderr if code else done.stdout
 
-    def ask(self, *words: str, code: int = 0, **environment: str) -> str:
+    def ask(self, *words: str, code: int = 0, env: Mapping[str, str] | None = None) -> str:
         """Run a command that talks to the swarm."""
-        return self.run(*words, "--hub", self.hub, "--swarm", "lab", code=code, **environment)
+        return self.run(*words, "--hub", self.hub, "--swarm", "lab", code=code, env=env)
 
     def start(self) -> None:
         with (self.folder / "up.log").open("wb") as sink:
@@ -114,12 +114,12 @@ def test_two_commands_secure_a_swarm(lab: Lab, monkeypatch: pytest.MonkeyPatch) 
     until(lambda: _moved(before, lab.robots()), 20.0, "both robots have moved")
 
     # an operator without a certificate, and one of another authority
-    error = lab.ask("stop", code=2, FULLSWARM_OPERATOR="mallory")
+    error = lab.ask("stop", code=2, env={"FULLSWARM_OPERATOR": "mallory"})
     assert "'mallory' has no certificate in swarm 'lab'" in error
     assert "fullswarm keys issue mallory --role operator --swarm lab" in error
     other = {IDENTITY: str(lab.folder / "other")}
-    lab.run("keys", "init", "--swarm", "lab", **other)
-    error = lab.ask("status", code=3, **other)
+    lab.run("keys", "init", "--swarm", "lab", env=other)
+    error = lab.ask("status", code=3, env=other)
     assert "another authority" in error
     error = lab.run("status", "--hub", lab.hub.replace("tls/", "tcp/"), "--swarm", "lab", code=3)
     assert "secured" in error

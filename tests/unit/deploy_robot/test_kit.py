@@ -119,7 +119,7 @@ def secured_kit(robot: Robot) -> bytes:
 def install(robot: Robot, kit: bytes, folder: Path) -> subprocess.CompletedProcess[str]:
     with tarfile.open(fileobj=io.BytesIO(kit)) as tar:
         tar.extractall(folder, filter="data")
-    command = ["sh", folder / "install.sh"]
+    command = ["sh", str(folder / "install.sh")]
     return subprocess.run(command, env=robot.environment, capture_output=True, text=True, start_new_session=True)
 
 
