@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import json
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -19,7 +20,7 @@ from fullswarm.bus import LocalBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.messages import StopRequest
 from fullswarm.operator.console import server as console_server
-from fullswarm.operator.console.access import MOST_UNVERIFIED, Names, uvicorn_server
+from fullswarm.operator.console.access import MOST_NEW_EACH, MOST_UNVERIFIED, Names, uvicorn_server
 from fullswarm.operator.console.gateway import Gateway, Identity
 from fullswarm.operator.console.serve import RuntimeLoop
 from fullswarm.operator.console.server import Pages, Web
@@ -101,6 +102,8 @@ def run(folder: Path, story: Callable[[Served], Awaitable[None]], **options: Any
         served.pump.wake()
         try:
             async with asyncio.timeout(60.0):
+                while not served.server.started:
+                    await asyncio.sleep(0.0)
                 await story(served)
         finally:
             served.server.should_exit = True
@@ -319,6 +322,93 @@ def test_the_oldest_connection_without_a_request_makes_room_and_no_page_does(fol
             assert (await frame(page, "answer"))["ok"]
             for _, writer in silent:
                 writer.close()
+
+    run(folder, story)
+
+
+def opened_from(address: str, port: int, count: int, first: bytes = b"") -> list[socket.socket]:
+    """Open connections from an address of this machine without giving the server's loop a turn."""
+    found = []
+    for _ in range(count):
+        each = socket.socket()
+        each.bind((address, 0))
+        each.connect(("127.0.0.1", port))
+        each.send(first)
+        found.append(each)
+    return found
+
+
+async def still_open(connections: list[socket.socket]) -> list[bool]:
+    """Tell which connections the server has not closed, once it has looked at all of them."""
+    await asyncio.sleep(0.3)
+    found = []
+    for each in connections:
+        each.setblocking(False)
+        try:
+            found.append(each.recv(65536, socket.MSG_PEEK) != b"")
+        except BlockingIOError:
+            found.append(True)
+        except ConnectionError:
+            found.append(False)
+    return found
+
+
+def test_only_the_newest_of_many_connections_at_once_are_served_and_each_address_has_its_own(folder: Path) -> None:
+    async def story(served: Served) -> None:
+        with contextlib.ExitStack() as stack:
+            theirs = opened_from("127.0.0.2", served.port, 200)
+            ours = opened_from("127.0.0.1", served.port, 1)
+            theirs += opened_from("127.0.0.2", served.port, 200)
+            for each in (*theirs, *ours):
+                stack.callback(each.close)
+            assert await still_open(ours) == [True]
+            assert await still_open(theirs) == [False] * (400 - MOST_NEW_EACH) + [True] * MOST_NEW_EACH
+
+    run(folder, story)
+
+
+def test_address_that_fills_the_pool_displaces_its_own_connections_only(folder: Path) -> None:
+    async def story(served: Served) -> None:
+        request = f"GET /page/app.js HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n\r\n".encode()
+        with contextlib.ExitStack() as stack:
+            ours = opened_from("127.0.0.1", served.port, 1)  # slow: it has sent nothing yet
+            stack.callback(ours[0].close)
+            pool = served.server.server_state.unverified
+            for _ in range(2 * MOST_UNVERIFIED // MOST_NEW_EACH):
+                for each in opened_from("127.0.0.2", served.port, MOST_NEW_EACH, request):
+                    stack.callback(each.close)
+                await asyncio.sleep(0.1)
+                assert len(pool) <= MOST_UNVERIFIED
+            assert len(pool) == MOST_UNVERIFIED
+            assert await still_open(ours) == [True]
+            # And it goes on to be a page, while they go on.
+            async with served.page() as line:
+                await line.send(json.dumps({"t": "stop", "ref": 1}))
+                assert (await frame(line, "answer"))["ok"]
+
+    run(folder, story)
+
+
+def test_without_file_descriptors_the_oldest_connection_without_the_token_makes_room(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def story(served: Served) -> None:
+        silent = opened_from("127.0.0.1", served.port, 3)
+        with contextlib.ExitStack() as stack:
+            for each in silent:
+                stack.callback(each.close)
+            assert await still_open(silent) == [True] * 3
+            failures = [OSError(errno.EMFILE, "Too many open files")]
+            accept = socket.socket.accept
+
+            def fail_once(listener: socket.socket) -> Any:
+                if failures:
+                    raise failures.pop()
+                return accept(listener)
+
+            monkeypatch.setattr(socket.socket, "accept", fail_once)
+            async with served.page():
+                assert await still_open(silent) == [False, True, True]
 
     run(folder, story)
 
