@@ -22,7 +22,7 @@ Further files:
 ``envs/``          Environments for Gymnasium and PettingZoo, and trained policies as behaviours
 ``errors.py``      The error tree
 ``evaluate/``      Experiments (paper IV): scenarios, trials, experiments, results
-``files.py``       Replaces files in one step: a reader finds the old content or the new one
+``files.py``       Replaces files in one step: a reader finds the old content or the new one; a disk that may fail
 ``fitness.py``     Decides whether a robot is fit for a request: capabilities, limits, make, charge
 ``geometry.py``    Angles, the unicycle map and frame changes
 ``identity/``      Who a process is on the bus: roles, certificates, and which of them are valid
@@ -40,6 +40,7 @@ Further files:
 ``parameters.py``  Parameters of a request as a control law reads them
 ``profiles.py``    Columns of what robots are and can do, as control laws read them
 ``registry.py``    Drivers and behaviours by name: a table first, entry points for names that are not in it
+``rehearse/``      Rehearses faults: a whole swarm on a simulated clock whose processes may die at any moment
 ``robotarium/``    Runs scripts of the Robotarium's simulator in a laboratory
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors

@@ -1,4 +1,4 @@
-"""Replaces files in one step: a reader finds the old content or the new one, never a part of it."""
+"""Writes files safely: a reader finds the old content or the new one; and a disk behind an interface, for faults."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Protocol
 
 
 @contextmanager
@@ -38,3 +39,77 @@ def replace_file(path: Path, content: str | bytes, *, mode: int = 0o666, sync: b
         if sync:
             file.flush()
             os.fsync(file.fileno())
+
+
+class Disk(Protocol):
+    """What a node may do with files. Any method may raise ``OSError``: a disk may be full or gone."""
+
+    def read(self, file: Path) -> bytes:
+        """Return the content of `file`."""
+        ...
+
+    def exists(self, file: Path) -> bool:
+        """Tell whether `file` is there."""
+        ...
+
+    def write(self, file: Path, content: bytes) -> None:
+        """Write `file` in its folder, made when missing, and wait until both are on the disk."""
+        ...
+
+    def replace(self, file: Path, content: bytes) -> None:
+        """Replace `file` in its folder, made when missing, without waiting for the disk."""
+        ...
+
+    def remove(self, file: Path, *, sync: bool) -> None:
+        """Remove `file` if it is there; `sync` waits for the disk."""
+        ...
+
+
+class MachineDisk:
+    """The disk of this computer."""
+
+    def read(self, file: Path) -> bytes:
+        """Return the content of `file`."""
+        return file.read_bytes()
+
+    def exists(self, file: Path) -> bool:
+        """Tell whether `file` is there."""
+        try:
+            file.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        return True
+
+    def write(self, file: Path, content: bytes) -> None:
+        """Write `file`, and wait until it and its name are on the disk."""
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("wb") as opened:
+            opened.write(content)
+            opened.flush()
+            os.fsync(opened.fileno())
+        self._sync(file.parent)
+
+    def replace(self, file: Path, content: bytes) -> None:
+        """Replace `file` by way of a file beside it that ends in ``.part``."""
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(".part")
+        part.write_bytes(content)
+        part.replace(file)
+
+    def remove(self, file: Path, *, sync: bool) -> None:
+        """Remove `file` if it is there."""
+        with suppress(FileNotFoundError, NotADirectoryError):
+            file.unlink()
+            if sync:
+                self._sync(file.parent)
+
+    def _sync(self, folder: Path) -> None:
+        """Have the names in a folder on the disk too."""
+        opened = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(opened)
+        finally:
+            os.close(opened)
+
+
+MACHINE_DISK = MachineDisk()

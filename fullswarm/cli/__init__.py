@@ -16,6 +16,7 @@ file               commands
 ``console.py``     `console`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``experiment.py``  `experiment run|trial|watch|replay`
+``rehearse.py``    `rehearse`
 ``results.py``     `results list|show|export|map|compare|report|index`
 ``scenario.py``    `scenario list|show|import|export`
 ``study.py``       `study check|run|status|export|unblind`

@@ -19,6 +19,7 @@ from fullswarm.cli.leases import leases_app
 from fullswarm.cli.mission import mission_app
 from fullswarm.cli.options import Json, shell_command
 from fullswarm.cli.params import params_app
+from fullswarm.cli.rehearse import rehearse
 from fullswarm.cli.results import results_app
 from fullswarm.cli.scenario import scenario_app
 from fullswarm.cli.study import study_app
@@ -52,6 +53,7 @@ for group, name, text in (
     (study_app, "study", "Run human-swarm studies: balanced orders, blinded conditions, probes, NASA-TLX."),
 ):
     app.add_typer(group, name=name, rich_help_panel=EVALUATE, help=text)
+app.command(rich_help_panel=EVALUATE)(rehearse)
 for command in (
     bundle.bundle, deploy.deploy, deploy.update, deploy.rollback, deploy.logs, deploy.shell,
     deploy.reboot, deploy.fleet, flash.flash,

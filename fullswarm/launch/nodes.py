@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from fullswarm.agent.node import AgentNode
     from fullswarm.agent.state import Identity
     from fullswarm.core.centralised.node import CentralisedNode
+    from fullswarm.store import Store
 
 
 class Node(Protocol):
@@ -46,12 +47,14 @@ def core(
     wall_s: Callable[[], float] = wall_time_s,
     *,
     audit: Path | None = None,
+    store: Store | None = None,
 ) -> list[Node]:
     """Build the core: main controller, request handler, database, summarizers, performance node.
 
     Parameters
     ----------
     audit : folder of the audit log; None: there is none, as in lockstep
+    store : the database; None: the one that the fleet file names
     """
     from fullswarm.core.node import CoreNode
     from fullswarm.core.settings import Settings
@@ -60,7 +63,7 @@ def core(
     from fullswarm.store import Store
 
     keys = Keys(config.swarm)
-    store = Store(config.core.store, wall_s)
+    store = store or Store(config.core.store, wall_s)
     settings = Settings(store, config)
 
     conditions = lambda: settings.performance  # noqa: E731

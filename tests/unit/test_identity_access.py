@@ -73,7 +73,8 @@ def test_only_people_and_the_core_stop_robots_and_no_robot_commands_another() ->
     assert rights["estop"] == {"operator", "console", "core"}
     assert rights["robot/<robot>/command"] == rights["lease/holders"] == {"core"}
     assert rights["params/*/request"] == rights["lease/request"] == {"operator", "console"}
-    assert not any("observer" in roles or "hub" in roles for roles in rights.values())
+    assert not any("hub" in roles for roles in rights.values())
+    assert [key for key, roles in rights.items() if "observer" in roles] == ["identity/<name>/renew"]
 
 
 def test_each_certificate_is_a_subject_and_no_other_is() -> None:

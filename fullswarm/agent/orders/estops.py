@@ -6,25 +6,28 @@ sent must learn of it from the robot, also when the robot's agent has been resta
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import structlog
 
 from fullswarm.agent.state import AgentState
 from fullswarm.bus.base import Bus
 from fullswarm.drivers.base import Fleet
+from fullswarm.files import MACHINE_DISK, Disk
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import EStop, EStopReceipt, Halt
+from fullswarm.recent import Recent
 
 REMEMBERED = 256
+CLOCKS = 64
+"""Clocks of which the newest stamp is remembered."""
 SETTLE_TIMEOUT_S = 5.0
 """A robot that still moves so long after an e-stop is reported as not at standstill, and still watched."""
 TICKS = 2.0
@@ -86,6 +89,7 @@ class EStops:
         # The receipts that still hold, by row; an order that a newer one has overruled has none.
         self._orders: OrderedDict[Key, dict[int, EStopReceipt]] = OrderedDict()
         self._decelerating: dict[tuple[int, Key], Decelerating] = {}
+        self._engaged_s: Recent[str, Array] = Recent(CLOCKS)  # by clock: stamp of the newest engaged order, (n,)
         self._folder: LatchFolder | None = None
 
     def remember(self, folder: LatchFolder) -> None:
@@ -103,6 +107,21 @@ class EStops:
         for receipt in receipts.values():
             self._publish(receipt)
         return True
+
+    def in_force(self, order: EStop, rows: Iterable[int]) -> list[int]:
+        """Return the robots that an order counts for: a release, not where a newer e-stop of its clock was received.
+
+        So a copy of a release that comes late, or that someone has kept, releases nothing.
+        """
+        rows = list(rows)
+        newest_s = self._engaged_s.get(order.clock)
+        if not order.engaged:
+            return rows if newest_s is None else [row for row in rows if order.stamp_s >= newest_s[row]]
+        if order.clock:
+            if newest_s is None:
+                newest_s = self._engaged_s[order.clock] = np.full(len(self._fleet.ids), -math.inf)
+            newest_s[rows] = np.maximum(newest_s[rows], order.stamp_s)
+        return rows
 
     def carry_out(self, order: EStop, rows: Iterable[int], now_s: float) -> None:
         """Latch or release the robots `rows`; confirm at once, an engaged one again at standstill.
@@ -156,6 +175,8 @@ class EStops:
         if self._folder is None:
             return
         for robot in robots:
+            if order.engaged and self._folder.kept(robot):
+                continue  # that the file is there is the latch
             if order.engaged:
                 self._folder.engage(robot, order)
             else:
@@ -200,27 +221,24 @@ class LatchFolder:
     Parameters
     ----------
     clock : the name of this process's clock, see ``clock_id``; empty: it has none, all kept stops are as of now
+    disk : that holds the folder
     """
 
-    def __init__(self, folder: Path, clock: str = "") -> None:
-        self._folder, self._clock = folder, clock
+    def __init__(self, folder: Path, clock: str = "", disk: Disk = MACHINE_DISK) -> None:
+        self._folder, self._clock, self._disk = folder, clock, disk
+        self._engaged: set[str] = set()  # robots whose latch this process has written
 
     def keep_halt(self, robot: str, halt: Halt) -> None:
         """Keep a stop. It does not wait for the disk: what it guards against is the end of the process."""
-        file = self._folder / f"{robot}.stop"
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            part = file.with_suffix(".part")
-            part.write_bytes(msgspec.json.encode(KeptHalt(self._clock, halt)) + b"\n")
-            part.replace(file)
+            self._disk.replace(self._halt_file(robot), msgspec.json.encode(KeptHalt(self._clock, halt)) + b"\n")
         except OSError as error:
             log.error("a restart of this agent would not know of the stop", robot=robot, error=str(error))
 
     def halt_of(self, robot: str, now_s: float) -> Halt | None:
         """Return the stop that was kept; as of `now_s` where its time is not known, which is the safe side."""
-        file = self._folder / f"{robot}.stop"
         try:
-            kept = msgspec.json.decode(file.read_bytes(), type=KeptHalt)
+            kept = msgspec.json.decode(self._disk.read(self._halt_file(robot)), type=KeptHalt)
         except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -234,50 +252,41 @@ class LatchFolder:
     def forget_halt(self, robot: str) -> None:
         """Take the stop away: the robot has started something."""
         try:
-            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-                (self._folder / f"{robot}.stop").unlink()
+            self._disk.remove(self._halt_file(robot), sync=False)
         except OSError as error:
             log.error("a restart of this agent would take the stop for a new one", robot=robot, error=str(error))
 
     def holds(self, robot: str) -> bool:
         """Tell whether `robot` was latched and never released; when in doubt it was."""
         try:
-            self._file(robot).stat()
-        except (FileNotFoundError, NotADirectoryError):
-            return False
+            return self._disk.exists(self._file(robot))
         except OSError as error:
             log.error("cannot tell whether its e-stop was latched: it is taken for so", robot=robot, error=str(error))
         return True
+
+    def kept(self, robot: str) -> bool:
+        """Tell whether the latch of `robot` is known to be on the disk."""
+        return robot in self._engaged and self.holds(robot)
 
     def engage(self, robot: str, order: EStop) -> None:
         """Write the file and wait for the disk: pulling the battery is what comes next after an e-stop."""
         text = {"id": order.id, "source": order.source, "reason": order.reason}
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            with self._file(robot).open("wb") as file:
-                file.write(msgspec.json.encode(text) + b"\n")
-                file.flush()
-                os.fsync(file.fileno())
-            self._sync()
+            self._disk.write(self._file(robot), msgspec.json.encode(text) + b"\n")
+            self._engaged.add(robot)
         except OSError as error:
             log.error("a restart of this agent would not know of the e-stop", robot=robot, error=str(error))
 
     def release(self, robot: str) -> None:
         """Take the file away."""
+        self._engaged.discard(robot)
         try:
-            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-                self._file(robot).unlink()
-                self._sync()
+            self._disk.remove(self._file(robot), sync=True)
         except OSError as error:
             log.error("a restart of this agent would engage the e-stop again", robot=robot, error=str(error))
 
     def _file(self, robot: str) -> Path:
         return self._folder / f"{robot}.estop"
 
-    def _sync(self) -> None:
-        """Have the names on the disk too."""
-        folder = os.open(self._folder, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    def _halt_file(self, robot: str) -> Path:
+        return self._folder / f"{robot}.stop"

@@ -1,0 +1,59 @@
+"""`fullswarm rehearse`: simulated years of faults for the whole stack, from a seed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from fullswarm.cli.options import Json, shell_command
+from fullswarm.errors import ConfigError
+
+
+@shell_command()
+def rehearse(
+    hours: Annotated[float, typer.Option(min=0.001, max=1e6, help="Simulated hours of the whole swarm.")] = 0.1,
+    seed: Annotated[int, typer.Option(min=0, help="Chooses all faults and requests.")] = 0,
+    robots: Annotated[int, typer.Option(min=2, max=64, help="Number of robots.")] = 8,
+    only: Annotated[
+        str, typer.Option(metavar="FAULTS", help="Kinds of faults, separated by commas (default: all).")
+    ] = "",
+    episode: Annotated[
+        int | None, typer.Option(min=0, help="Run only this episode (default: as many as --hours needs).")
+    ] = None,
+    faults: Annotated[
+        str | None,
+        typer.Option(metavar="INDICES", help="Inject only these faults of --episode: 3,17 or none (default: all)."),
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=0, max=256, help="Processes at once (default: one per core).")] = 0,
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Begin no further episode after so many real seconds (default: no limit)."),
+    ] = None,
+    as_json: Json = False,
+) -> int:
+    """Inject seeded faults into the whole stack on a simulated clock; exit code 1 when an invariant broke."""
+    from fullswarm.output import data, data_json, progress, quiet
+    from fullswarm.rehearse.faults import check_kinds
+    from fullswarm.rehearse.rehearsal import Options, text_of
+    from fullswarm.rehearse.rehearsal import rehearse as run
+
+    quiet()
+    kinds = tuple(each.strip() for each in only.split(",") if each.strip())
+    check_kinds(kinds)
+    keep = None if faults is None else _indices(faults)
+    report = run(Options(seed, hours, robots, kinds, episode, keep, jobs=jobs, wall_s=seconds), progress)
+    if as_json:
+        data_json(report.as_dict())
+    else:
+        data(text_of(report))
+    return 1 if report.failures else 0
+
+
+def _indices(text: str) -> tuple[int, ...]:
+    if text == "none":
+        return ()
+    try:
+        return tuple(sorted({int(each) for each in text.split(",")}))
+    except ValueError:
+        raise ConfigError(f"'{text}' is no list of indices", where="--faults", hint="for example 3,17") from None
