@@ -7,6 +7,7 @@ import contextlib
 import errno
 import json
 import socket
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,13 @@ from websockets.asyncio.client import ClientConnection
 
 from fullswarm.bus import LocalBus
 from fullswarm.clock import MonotonicClock
-from fullswarm.messages import StopRequest
+from fullswarm.messages import BehaviourRequest, StopRequest
 from fullswarm.operator.console import server as console_server
 from fullswarm.operator.console.access import MOST_NEW_EACH, MOST_UNVERIFIED, Names, uvicorn_server
 from fullswarm.operator.console.gateway import Gateway, Identity
 from fullswarm.operator.console.serve import RuntimeLoop
 from fullswarm.operator.console.server import Pages, Web
+from fullswarm.operator.console.tokens import Doorkeeper, TokenFile
 from fullswarm.runtime import Runtime
 from tests.unit.console_bench import KEYS
 
@@ -35,12 +37,14 @@ PATIENCE_S = 10.0
 class Served:
     """A console without a swarm, served by the running loop."""
 
-    def __init__(self, folder: Path, *, read_only: bool = False) -> None:
+    def __init__(self, folder: Path, *, read_only: bool = False, tokens: TokenFile | None = None) -> None:
         self.runtime = Runtime(MonotonicClock())
         self.bus = LocalBus(self.runtime.mailbox)
         self.stops: list[StopRequest] = []
         self.errors: list[BaseException] = []
+        self.requests: list[BehaviourRequest] = []
         self.bus.subscribe(KEYS.stop, StopRequest, self.stops.append)
+        self.bus.subscribe(KEYS.behaviour_request, BehaviourRequest, self.requests.append)
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.listener.setblocking(False)
         self.port = int(self.listener.getsockname()[1])
@@ -48,7 +52,7 @@ class Served:
         identity = Identity("base", "console@base:1", "9.9", read_only)
         self.gateway = Gateway(self.bus, KEYS, self.runtime, identity, lambda: 0.0)
         self.pump = RuntimeLoop(self.runtime, asyncio.get_running_loop(), self.errors.append)
-        self.web = Web(self.gateway, TOKEN, self.runtime.now_s, self.pump.wake)
+        self.web = Web(self.gateway, Doorkeeper(TOKEN, lambda: 0.0, file=tokens), self.runtime.now_s, self.pump.wake)
         self.server = uvicorn_server(self.web.app(Names("127.0.0.1", self.port), Pages(folder)))
 
     def connect(self, **options: Any) -> Any:
@@ -324,6 +328,55 @@ def test_the_oldest_connection_without_a_request_makes_room_and_no_page_does(fol
                 writer.close()
 
     run(folder, story)
+
+
+def test_operator_is_named_by_the_token_whatever_the_page_states(folder: Path, tmp_path: Path) -> None:
+    tokens = TokenFile(tmp_path / "tokens.json")
+    anna, ben = tokens.add("anna", "operator", 0.0), tokens.add("ben", "observer", 0.0)
+
+    async def story(served: Served) -> None:
+        async with served.connect() as line, served.connect() as other:
+            await line.send(json.dumps({**HELLO, "token": anna, "name": "ben"}))
+            hello = await frame(line)
+            assert (hello["operator"], hello["read_only"]) == ("anna", False)
+            await line.send(json.dumps({"t": "request", "ref": 1, "behaviour": "flocking"}))
+            assert (await frame(line, "answer"))["ok"]
+            assert [each.operator for each in served.requests] == ["anna"]
+            # An observer with the same secret of the page gets a session of its own, and sends nothing.
+            await other.send(json.dumps({**HELLO, "token": ben, "name": "anna"}))
+            hello = await frame(other)
+            assert (hello["operator"], hello["read_only"]) == ("ben", True)
+            for number, order in enumerate(("stop", "estop", "clear", "request")):
+                extra = {"behaviour": "flocking"} if order == "request" else {}
+                await other.send(json.dumps({"t": order, "ref": number, **extra}))
+                answer = await frame(other, "answer")
+                assert (answer["ok"], "observer" in answer["reason"]) == (False, True)
+            assert served.stops == []
+            assert len(served.requests) == 1
+
+    run(folder, story, tokens=tokens)
+
+
+def test_pass_opens_a_page_and_ends_with_its_token_within_a_second(folder: Path, tmp_path: Path) -> None:
+    tokens = TokenFile(tmp_path / "tokens.json")
+    anna = tokens.add("anna", "operator", 0.0)
+
+    async def story(served: Served) -> None:
+        async with served.connect() as line:
+            await line.send(json.dumps({**HELLO, "token": anna}))
+            given = (await frame(line, "pass"))["token"]
+            async with served.connect() as again:
+                await again.send(json.dumps({**HELLO, "token": given}))
+                assert (await frame(again))["operator"] == "anna"
+                began_s = time.monotonic()
+                TokenFile(tokens.path).revoke("anna")
+                assert [await closing(line), await closing(again)] == [4401, 4401]
+                assert time.monotonic() - began_s < 1.5
+        async with served.connect() as line:
+            await line.send(json.dumps({**HELLO, "token": given}))
+            assert await closing(line) == 4401
+
+    run(folder, story, tokens=tokens)
 
 
 def opened_from(address: str, port: int, count: int, first: bytes = b"") -> list[socket.socket]:

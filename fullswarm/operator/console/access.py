@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
 import ipaddress
 import re
 import socket
@@ -103,11 +102,6 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def same_token(given: str, wanted: str) -> bool:
-    """Compare two tokens in constant time."""
-    return hmac.compare_digest(given.encode(), wanted.encode())
 
 
 class Guard:
