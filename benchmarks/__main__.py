@@ -9,6 +9,7 @@ ALL = (
     ("benchmarks.lockstep",),
     ("benchmarks.bus", "--seconds", "5"),
     ("benchmarks.latency",),
+    ("benchmarks.secure_latency",),
     ("benchmarks.joystick",),
     ("benchmarks.console", "--seconds", "3"),
     ("benchmarks.console_page", "--seconds", "8"),
@@ -23,7 +24,6 @@ ALL = (
     ("benchmarks.agent_start",),
     ("benchmarks.release",),
     ("benchmarks.fault_matrix", "--check"),
-    ("benchmarks.chaos", "--seconds", "60"),
     ("benchmarks.fleet",),
 )
 

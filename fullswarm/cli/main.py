@@ -22,6 +22,7 @@ from fullswarm.cli.params import params_app
 from fullswarm.cli.rehearse import rehearse
 from fullswarm.cli.results import results_app
 from fullswarm.cli.scenario import scenario_app
+from fullswarm.cli.signing import signing_app
 from fullswarm.cli.study import study_app
 from fullswarm.errors import ConfigError
 
@@ -60,6 +61,7 @@ for command in (
 ):  # fmt: skip
     app.command(rich_help_panel=DEPLOY)(command)
 app.add_typer(keys_app, name="keys", rich_help_panel=DEPLOY)
+app.add_typer(signing_app, name="signing", rich_help_panel=DEPLOY)
 app.add_typer(robots.robots_app, name="robots", rich_help_panel=HARDWARE)
 for command in (robots.doctor, robots.emulate):
     app.command(rich_help_panel=HARDWARE)(command)
