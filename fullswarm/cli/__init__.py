@@ -13,7 +13,7 @@ file               commands
 ``leases.py``      `leases`, `leases hold`
 ``joystick.py``    `joystick`, `joystick list|test|map`
 ``audit.py``       `audit show|verify`
-``console.py``     `console`
+``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``experiment.py``  `experiment run|trial|watch|replay`
 ``rehearse.py``    `rehearse`

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 from rich.markup import escape
 
 from fullswarm import output
+from fullswarm.clock import wall_time_s
 from fullswarm.deploy.fleet.facts import Facts, clock_error_s, facts_of
 from fullswarm.deploy.fleet.login import Address, Login, confirm_host_keys, login_for, pick_robots
 from fullswarm.deploy.fleet.releases import Archives, Desired, extras_needed
@@ -213,13 +214,16 @@ class Fleet:
 
 def deploy(order: FleetRequest) -> int:
     """Install what is missing and bring robots to a release, all at a time; return the exit code."""
-    from fullswarm.deploy.robot.support_package import check_hub, package_id, signed, support_package
+    from fullswarm.deploy.robot.support_package import check_hub, package_id, robot_credentials, signed, support_package
 
     fleet = Fleet.of(order, own_keys=True)
     for each in fleet.robots:
         check_hub(each, fleet.config)
-    root = fleet.keys.roots()[-1]
-    archives = {each.id: support_package(each, fleet.config, root) for each in fleet.robots}
+    root, now_s = fleet.keys.roots()[-1], wall_time_s()
+    archives = {
+        each.id: support_package(each, fleet.config, root, credentials=robot_credentials(each, fleet.config, now_s))
+        for each in fleet.robots
+    }
     if not order.dry_run:
         archives = signed(archives, fleet.keys, rename=order.rename)
     packages = {robot: SupportPackage(archive, package_id(archive)) for robot, archive in archives.items()}
@@ -248,7 +252,7 @@ def _run(order: FleetRequest, fleet: Fleet, plan: Plan, packages: dict[str, Supp
             named=order.release,
             target=order.target,
             packages=packages,
-            needs={each.id: extras_needed(each) for each in fleet.robots},
+            needs={each.id: extras_needed(each, fleet.config) for each in fleet.robots},
             public_key=public(fleet.keys.fleet_key()),
             guard_s=order.guard_s,
             force=order.force,

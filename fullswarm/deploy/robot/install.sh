@@ -18,7 +18,9 @@ SYSTEMCTL=${FULLSWARM_SYSTEMCTL:-systemctl}
 # Holds the line of a file once every program that reads the file has been notified.
 NOTIFIED=$ROOT/opt/fullswarm/bin/kit.sums
 AGENT=fullswarm-agent.service
+IDENTITY=etc/fullswarm/identity
 SETTINGS="etc/systemd/system/$AGENT etc/fullswarm/fleet.toml etc/fullswarm/robot.env"
+SETTINGS="$SETTINGS $IDENTITY/authority.pem $IDENTITY/certificate.pem $IDENTITY/key.pem"
 START_S=60
 stay='' verified=''
 case ${1-} in
@@ -45,8 +47,13 @@ mode_of() {
     case $1 in
     opt/fullswarm/bin/fullswarm-robot) printf 0755 ;;
     etc/sudoers.d/*) printf 0440 ;;
+    "$IDENTITY"/*) printf 0600 ;;
     *) printf 0644 ;;
     esac
+}
+
+owner_of() { # PATH: the agent reads its private key, and no other user does
+    case $1 in "$IDENTITY"/*) [ -n "$ROOT" ] || printf fullswarm ;; esac
 }
 
 unmark() { # PATH: before it changes, so that a run after a killed one notifies what that one did not
@@ -72,13 +79,14 @@ put_back() { # the kept settings; fails when there are none
 
 put() { # PATH LINE: copies one file to its place in one step, unless it is there
     to=$ROOT/$1
-    mode=$(mode_of "$1")
-    if ! cmp -s "files/$1" "$to" || [ "$(stat -c 0%a "$to")" != "$mode" ]; then
+    mode=$(mode_of "$1") owner=$(owner_of "$1")
+    if ! cmp -s "files/$1" "$to" || [ "$(stat -c 0%a "$to")" != "$mode" ] ||
+        { [ -n "$owner" ] && [ "$(stat -c %U "$to")" != "$owner" ]; }; then
         unmark "$1"
         keep "$1"
         # A name with a dot in it: neither sudo nor udev nor systemd reads a half-written one.
-        mkdir -p "$(dirname "$to")" && cp "files/$1" "$to.new~" && chmod "$mode" "$to.new~" &&
-            mv -fT "$to.new~" "$to" || cannot "$to"
+        mkdir -p "$(dirname "$to")" && (umask 077 && cp "files/$1" "$to.new~") && chmod "$mode" "$to.new~" &&
+            { [ -z "$owner" ] || chown "$owner:" "$to.new~"; } && mv -fT "$to.new~" "$to" || cannot "$to"
         changed "$1"
     fi
     if grep -qxF "$2" "$NOTIFIED" 2> /dev/null; then

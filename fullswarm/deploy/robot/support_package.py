@@ -26,12 +26,14 @@ from pathlib import Path
 
 import tomlkit
 
-from fullswarm.bus.endpoint import host_of, is_loopback
+from fullswarm.bus.endpoint import host_of, is_loopback, is_secured
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.signatures import SUPPORT_NAMESPACE, sign, split
 from fullswarm.deploy.release.trust import SUPPORT_LIFE_S, support_text
 from fullswarm.errors import ConfigError
+from fullswarm.identity import Credentials
+from fullswarm.identity.folder import AUTHORITY, CERTIFICATE, IDENTITY, ISSUED, KEY, KeysFolder
 
 TOOLS = Path(__file__).parent
 DESTINATIONS = {
@@ -49,6 +51,10 @@ DESTINATIONS = {
 PROGRAMS = frozenset({"install.sh", "opt/fullswarm/bin/fullswarm-robot"})
 TRUST_FIRST = "opt/fullswarm/bin/robot-trust.sh"
 SUDOERS = "etc/sudoers.d/fullswarm"
+ISSUED_TO = "etc/fullswarm/identity"
+"""The robot's certificate, its key and the authority's certificate: mode 0600, of the agent's user."""
+RENEWED_TO = "/var/lib/fullswarm/identity"
+"""Where the agent keeps them while it runs, and renews the certificate."""
 
 _USER = re.compile(r"[a-z_][a-z0-9_-]{0,31}\Z")
 _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
@@ -61,6 +67,7 @@ def support_package(
     *,
     ssh_user: str | None = None,
     environment: Mapping[str, str] | None = None,
+    credentials: Credentials | None = None,
     tools: Path = TOOLS,
 ) -> bytes:
     """Return the support package of one robot: an uncompressed tar, some 50 kB.
@@ -74,6 +81,8 @@ def support_package(
         rule.
     environment
         Further lines of ``robot.env``, which the agent gets as its environment.
+    credentials
+        The robot's files for a secured hub; see :func:`robot_credentials`.
     tools
         Folder of the files to install, for example ``robot/`` of another release.
 
@@ -83,7 +92,12 @@ def support_package(
         A user or an environment variable is invalid.
     """
     files = {destination: (tools / name).read_bytes() for name, destination in DESTINATIONS.items()}
-    files["etc/fullswarm/robot.env"] = robot_env(robot, config, environment or {}).encode()
+    environment = dict(environment or {})
+    if credentials is not None:
+        environment |= {IDENTITY: RENEWED_TO, ISSUED: f"/{ISSUED_TO}"}
+        sources = {AUTHORITY: credentials.authority, CERTIFICATE: credentials.certificate, KEY: credentials.key}
+        files |= {f"{ISSUED_TO}/{name}": path.read_bytes() for name, path in sources.items()}
+    files["etc/fullswarm/robot.env"] = robot_env(robot, config, environment).encode()
     files["etc/fullswarm/fleet.toml"] = fleet_file(config).encode()
     user = robot.ssh_user if ssh_user is None else ssh_user
     if user != "root":
@@ -133,10 +147,39 @@ def check_hub(robot: RobotConfig, config: SwarmConfig) -> None:
     """
     if is_loopback(host_of(config.hub.endpoint)) and not is_loopback(robot.host or robot.id):
         hint = (
-            'write the base\'s own address, [hub] endpoint = "tcp/10.0.0.1:7447", and start it there: '
-            "`fullswarm hub --listen tcp/10.0.0.1:7447 --insecure-network`"
+            'write the base\'s own address, [hub] endpoint = "tls/10.0.0.1:7447", and make its keys there: '
+            "`fullswarm keys init FLEET.toml`"
         )
         raise ConfigError(f"{robot.id} cannot reach {config.hub.endpoint}", where="hub.endpoint", hint=hint)
+
+
+def robot_credentials(robot: RobotConfig, config: SwarmConfig, now_s: float) -> Credentials | None:
+    """Return a robot's files in the keys folder of this base, checked; None: the hub is not secured.
+
+    Parameters
+    ----------
+    now_s
+        Seconds since 1970.
+
+    Raises
+    ------
+    ConfigError
+        It has no certificate, or one that is revoked, expired or damaged; the hint is the command that mends it.
+    """
+    if not is_secured(config.hub.endpoint):
+        return None
+    folder = KeysFolder.of(config.swarm)
+    found = folder.credentials(robot.id, "robot")
+    from fullswarm.identity.certificates import read_certificate
+
+    certificate = read_certificate(found.certificate)
+    if certificate.common_name not in {each.common_name for each in folder.grants()}:
+        hint = folder.issue_command(robot.id, "robot")
+        raise ConfigError(f"the certificate of '{robot.id}' is revoked", where=str(found.certificate), hint=hint)
+    if certificate.expires_s <= now_s:
+        hint = f"fullswarm keys renew {robot.id} --swarm {config.swarm}"
+        raise ConfigError(f"the certificate of '{robot.id}' has expired", where=str(found.certificate), hint=hint)
+    return found
 
 
 def package_id(archive: bytes) -> str:
@@ -175,6 +218,12 @@ def _sudoers(user: str) -> str:
     return f"{user} ALL=(root) NOPASSWD: /opt/fullswarm/bin/fullswarm-robot\n"
 
 
+def _mode(name: str) -> int:
+    if name.startswith(f"{ISSUED_TO}/"):
+        return 0o600
+    return 0o755 if name in PROGRAMS else 0o644
+
+
 def _tar(members: Mapping[str, bytes]) -> bytes:
     """Pack without times and owners: the same members give the same bytes."""
     buffer = io.BytesIO()
@@ -187,7 +236,7 @@ def _tar(members: Mapping[str, bytes]) -> bytes:
 def _entry(name: str, content: bytes) -> tarfile.TarInfo:
     entry = tarfile.TarInfo(name)
     entry.size = len(content)
-    entry.mode = 0o755 if name.removeprefix("files/") in PROGRAMS else 0o644
+    entry.mode = _mode(name.removeprefix("files/"))
     return entry
 
 
