@@ -236,10 +236,9 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
 
 def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int:
     """Serve the simulated world on its UDP port, in real time."""
-    from fullswarm import kernels
-    from fullswarm.launch.world import WorldNode
+    from fullswarm.launch.world import WorldNode, compile_kernels
 
-    kernels.compile_all()
+    compile_kernels(config)
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
         node = WorldNode(bus, runtime, config, process_id("world"), insecure_network)

@@ -42,7 +42,7 @@ STEADY_S = 10.0
 """A process that ran so long is started again as soon as one that dies for the first time."""
 SILENT_S = 1.0
 """A process whose loop has shown no sign of life for so long is reported as frozen."""
-FROZEN_S = 3.0
+FROZEN_S = 5.0
 """And is killed after so long: well above what a loaded machine delays a loop."""
 REPORT_S = 0.5
 """`status` collects for a second."""

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from fullswarm import registry
+from fullswarm import kernels, registry
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet_file import in_frame
@@ -28,6 +28,7 @@ from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.truth import SupervisorCalculator, Truth
 from fullswarm.runtime import Scheduler
 from fullswarm.simulation.bodies import EMULATED_RATE_HZ, Body, SteppedBodies
+from fullswarm.simulation.fleet import SimFleet
 from fullswarm.simulation.ghosts import Ghosts, with_ghosts
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World
@@ -39,6 +40,30 @@ HELD_S = 2.0
 """A hold that is not repeated for this long is over: a study whose console has failed does not hold the world."""
 LEAST_SIGMA_M, LEAST_SIGMA_RAD = 0.002, 0.002
 """Standard deviations of a fix when the world has no noise: a filter needs a variance above zero."""
+
+
+def compile_kernels(config: SwarmConfig) -> None:
+    """Compile what a step calls, by steps of a world that nobody sees; then it is in the kernels' cache.
+
+    After an install this takes many seconds, for which the loop of the world would stand and its robots report faults.
+    """
+    kernels.compile_all()
+    simulated = [each for each in config.robot if each.simulated]
+    if not simulated:
+        return
+    world = World(config.world_or_default, [each.id for each in simulated], nodes.start_poses(config, simulated))
+    try:
+        fleet = SimFleet(world, lambda: world.time_s)
+        nowhere = np.full((len(world.ids), 2), np.nan)
+        truth = Truth(world.ids, world.radius_m, nowhere, 0.0, config.bounds_m, config.performance.coverage_cell_m)
+        fleet.open()
+        for _ in range(2):
+            fleet.read()
+            fleet.command(np.zeros((len(world.ids), 2)), np.ones(len(world.ids), bool))
+            world.step()
+            truth.sample(world.time_s, world.pose, world.twist, world.dt_s, world.contacts)
+    finally:
+        world.close()
 
 
 class WorldNode:
