@@ -49,6 +49,8 @@ DESTINATIONS = {
 PROGRAMS = frozenset({"install.sh", "opt/fullswarm/bin/fullswarm-robot"})
 TRUST_FIRST = "opt/fullswarm/bin/robot-trust.sh"
 SUDOERS = "etc/sudoers.d/fullswarm"
+RULE = "ALL=(root) NOPASSWD: /opt/fullswarm/bin/fullswarm-robot"
+"""What the SSH user may do as root."""
 
 _USER = re.compile(r"[a-z_][a-z0-9_-]{0,31}\Z")
 _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
@@ -172,7 +174,7 @@ def robot_env(robot: RobotConfig, config: SwarmConfig, environment: Mapping[str,
 def _sudoers(user: str) -> str:
     if not _USER.match(user):
         raise ConfigError(f"'{user}' is not a valid user", where="ssh_user", hint="a plain Linux login: a-z, 0-9, - _")
-    return f"{user} ALL=(root) NOPASSWD: /opt/fullswarm/bin/fullswarm-robot\n"
+    return f"{user} {RULE}\n"
 
 
 def _tar(members: Mapping[str, bytes]) -> bytes:
