@@ -136,8 +136,8 @@ want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig, STATEMENT; s
     check_sums "$work/SHA256SUMS"
     check_manifest "$work" "$id"
     check_machine "$work/manifest.json"
+    [ "$(field "$work/text" older)" != yes ] || known release || note "goes back to $id, asked for and signed by $signer"
     remember release
-    [ "$(field "$work/text" older)" != yes ] || note "goes back to $id, as was asked for and signed by $signer"
     if [ -d "$RELEASES/$id" ]; then # it may be signed anew
         cmp -s "$work/STATEMENT" "$RELEASES/$id/STATEMENT" || {
             cp "$work/STATEMENT" "$RELEASES/$id/.STATEMENT" && settle "$RELEASES/$id/.STATEMENT" &&
