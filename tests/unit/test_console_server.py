@@ -355,7 +355,8 @@ def test_operator_is_named_by_the_token_whatever_the_page_states(folder: Path, t
                 answer = await frame(other, "answer")
                 assert (answer["ok"], "observer" in answer["reason"]) == (False, True)
             # Hers are repeated, and there are no others.
-            assert {each.source for each in (*served.stops, *served.requests)} == {"console@base:1/1:anna"}
+            assert {each.source for each in served.stops} == {"console@base:1/1:anna"}
+            assert {each.source for each in served.requests} == {"console@base:1/1:anna"}
             assert len({each.id for each in served.stops}) == 1
 
     run(folder, story, tokens=tokens)
