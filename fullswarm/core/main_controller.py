@@ -149,7 +149,9 @@ class MainController:
     def _record_stop(self, request: BehaviourRequest) -> None:
         """Record when a stop was sent, also one that arrived as `StopRequest` before."""
         known = self._roster.known()
-        for robot in set(self._groups.expand(request.robots)).intersection(known) if request.robots else known:
+        robots = set(self._groups.expand(request.robots)).intersection(known) if request.robots else known
+        self._handler.note_halt(robots, request.id)
+        for robot in robots:
             self._request_order.stop(robot, request.id, request.clock, request.stamp_s)
 
     def _accept(self, request: BehaviourRequest) -> None:
@@ -239,12 +241,16 @@ class MainController:
 
     def _halted(self, robot: str, halt: Halt, at_s: float) -> None:
         """Carry out a stop that a robot obeys and that no core has received, for this robot."""
+        self._handler.note_halt((robot,), halt.id)
+        self._request_order.stop(robot, halt.id, halt.clock, halt.ordered_s)
         stop_id = f"{halt.id}@{robot}"  # of its own: other robots may report the same stop
         if self.knows(halt.id) or self.knows(stop_id):
             return
         by = halt.source or UNNAMED
         self._notify(stop_id, (robot,), f"e-stop by {by}" if halt.estop else f"stopped by {by}", at_s)
-        if self._handler.ordered_s(robot) <= at_s:  # not if it was asked for something since
+        order = self._handler.order_of(robot)
+        older = order is not None and order.clock == halt.clock != "" and order.stamp_s < halt.ordered_s
+        if older or self._handler.ordered_s(robot) <= at_s:  # not if it was asked for something since
             self._stand(stop_id, (robot,), given("e-stop", Code.ESTOP) if halt.estop else NONE)
 
     def _stopped(self, request: StopRequest) -> None:
@@ -267,6 +273,7 @@ class MainController:
             return
         known = self._roster.known()
         addressed = [robot for robot in dict.fromkeys(robots) if robot in known] if robots else known
+        self._handler.note_halt(addressed, request_id)
         orders = {robot: Order(request_id=request_id, behaviour=STOP) for robot in addressed}
         if orders:
             self._handler.submit(orders, why, at_once=True)

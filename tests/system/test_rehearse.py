@@ -47,6 +47,12 @@ def test_an_unknown_kind_and_faults_without_an_episode_are_refused() -> None:
         rehearse(Options(episode=0, keep=(999,)))
 
 
+def test_an_episode_with_all_kinds_of_faults_breaks_nothing() -> None:
+    found = episode.run(0, 1, 4, SECONDS)
+    assert found.violations == ()
+    assert len(found.faults) > 5
+
+
 def test_an_episode_with_crashes_and_partitions_breaks_nothing() -> None:
     found = episode.run(0, 1, 4, SECONDS, ("agent-crash", "core-crash", "partition"))
     assert found.violations == ()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.config.mission_file import parse_mission
-from fullswarm.messages import STOP, BehaviourRequest, ControlRequest, Message, MissionStatus
+from fullswarm.messages import STOP, BehaviourRequest, ControlRequest, Message, MissionStatus, StopRequest
 from fullswarm.operator.missions import MissionClient
 from tests.unit.mission_lab import Killed, MortalStore
 from tests.unit.whole_swarm import KEYS, Whole
@@ -265,3 +265,26 @@ def test_a_stop_that_reaches_the_core_only_as_a_request_pauses_the_mission(lab: 
         assert lab.status is not None
         assert lab.status.phase == ("running" if robots == ("@nobody",) else "paused")
     assert lab.whole.drives_within(3.0) == []
+
+
+def test_a_request_made_before_a_stop_that_only_the_robot_received_starts_nothing(lab: Lab) -> None:
+    whole = lab.whole
+    goal = {"goal": [40.0, 10.0]}
+
+    def ask(request_id: str, stamp_s: float) -> None:
+        request = BehaviourRequest(
+            id=request_id, behaviour="move_to_goal_bc", robots=("r0",), parameters=goal, source="op", clock="lab",
+            stamp_s=stamp_s,
+        )  # fmt: skip
+        whole.bus.publish(KEYS.behaviour_request, request)
+
+    ask("first", 1.0)
+    assert whole.drives_within(0.5) == ["r0"]
+    # Straight to the agent: on the way to the core it is lost.
+    whole.agents["r0"].inbox._on_stop(StopRequest(id="s", source="op", clock="lab", stamp_s=3.0))
+    ask("late", 2.0)
+    assert whole.drives_within(2.0) == []
+    assert whole.order_of("r0") != "late"
+    ask("newer", 4.0)
+    assert whole.drives_within(0.5) == ["r0"]
+    assert whole.running("r0") == "newer"
