@@ -9,6 +9,7 @@ ALL = (
     ("benchmarks.lockstep",),
     ("benchmarks.bus", "--seconds", "5"),
     ("benchmarks.latency",),
+    ("benchmarks.secure_latency",),
     ("benchmarks.joystick",),
     ("benchmarks.console", "--seconds", "3"),
     ("benchmarks.console_page", "--seconds", "8"),

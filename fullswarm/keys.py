@@ -43,6 +43,8 @@ key                                                     message                w
 ``<swarm>/robot/<id>/pong``                             Ping                   agent → any
 ``<swarm>/measurement/<metric>/<host>``                 …Measurement           calculator → summarizer
 ``<swarm>/summary/<metric>``                            Summary                summarizer → performance node
+``<swarm>/identity/<name>/renew``                       CertificateRequest     any → core
+``<swarm>/identity/<name>/certificate``                 CertificateReply       core → the asker
 ``<swarm>/params/<layer>/request``                      ParamRequest           any → a layer's database
 ``<swarm>/params/<layer>/reply/<id>``                   ParamReply             the database → the asker
 ``<swarm>/params/<layer>/changed``                      ParamChanged           the database → all
@@ -247,6 +249,14 @@ class Keys:
     def summary(self, metric: str = ANY) -> str:
         """Results of the summarizers."""
         return f"{self.swarm}/summary/{metric}"
+
+    def renewal_request(self, name: str = ANY) -> str:
+        """Requests of processes for a new certificate."""
+        return f"{self.swarm}/identity/{name}/renew"
+
+    def renewal_reply(self, name: str = ANY) -> str:
+        """The authority's answers to them."""
+        return f"{self.swarm}/identity/{name}/certificate"
 
     def param_request(self, layer: str) -> str:
         """Questions to a layer's local database."""

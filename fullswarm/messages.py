@@ -181,14 +181,17 @@ class Leases(Message, frozen=True, kw_only=True):
 
 
 class EStop(Message, frozen=True, kw_only=True, tag="EStop/2"):
-    """Engage or release the latched emergency stop. Idempotent; releasing is a separate, deliberate act."""
+    """Engage or release the latched emergency stop. Idempotent; releasing is a separate, deliberate act.
+
+    A robot is released only if it has not received a newer engaged one of the same clock; to engage always counts.
+    """
 
     id: str
     engaged: bool
     robots: Names = ()  # empty: all
     source: str = ""
     reason: str = ""
-    clock: str = ""  # as in StopRequest
+    clock: str = ""  # as in BehaviourRequest; empty: the order is not dated
     stamp_s: Stamp = 0.0
 
 
@@ -812,6 +815,7 @@ class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/7"):
     late_ticks: Count = 0  # more than 1 ms late
     missed_ticks: Count = 0  # whole periods skipped
     worst_late_s: Duration = 0.0
+    dropped: Annotated[dict[ShortText, Count], Meta(max_length=64)] = {}  # messages, by lane or cause, since the start
     wall_offset_s: Stamp | None = None  # the time of day of this computer less the core's; None: not known
     round_trip_s: KnownSigma = -1.0  # to the core and back, the shortest of the last seconds; -1: not known
     stamp_s: Stamp = 0.0
@@ -863,6 +867,25 @@ class Summary(Message, frozen=True, kw_only=True):
     finished: bool = False
     reason: str = ""  # which termination condition was met
     stamp_s: Stamp = 0.0
+
+
+# ---------------------------------------------------------------- certificates
+Pem = Annotated[str, Meta(max_length=4096)]
+
+
+class CertificateRequest(Message, frozen=True, kw_only=True):
+    """A process asks for a new certificate with its name and key."""
+
+    name: ShortText
+    request: Pem  # PKCS #10, signed with its private key
+
+
+class CertificateReply(Message, frozen=True, kw_only=True):
+    """The answer to a CertificateRequest: the newest certificate, or why there is none."""
+
+    name: ShortText
+    certificate: Pem = ""  # X.509 in PEM
+    refused: Annotated[str, Meta(max_length=256)] = ""
 
 
 # ---------------------------------------------------------------- local database (paper II.A)

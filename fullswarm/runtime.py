@@ -13,9 +13,11 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import IntEnum
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
@@ -31,21 +33,46 @@ AT_ONCE = 256
 """Messages that one call of :meth:`Runtime.serve_due` delivers at most."""
 
 Handler = Callable[[Any], None]
+Item = tuple[Handler, Any, Handler | None]
 T = TypeVar("T")
+
+
+class Lane(IntEnum):
+    """Kinds of messages in the order in which a mailbox delivers them."""
+
+    LOCAL = 0
+    """Of this process: never dropped. On a simulated clock all messages are of this lane, in one order."""
+    ORDERS = 1
+    """What stops, starts and steers robots, and the answers: in one order, because a stop must not be carried out
+    before a request that was sent earlier, which would start the robot again."""
+    STATES = 2
+    READS = 3
+    """Questions, statistics, what is only shown to people."""
+
+
+ROOM = {Lane.ORDERS: 2000, Lane.STATES: 4000, Lane.READS: 4000}
+"""Messages that wait in a lane at most. Stops are delivered however many wait."""
 
 
 class Mailbox:
     """A thread-safe queue of (handler, message), and the gate that keeps nodes single-threaded.
 
-    Handlers run one at a time, in the order of arrival. Normally the runtime's thread runs them. While it waits
-    and nothing is queued, the thread that brings an urgent message may run its handler itself
+    Handlers run one at a time, by lane, within a lane in the order of arrival. Normally the runtime's thread runs them.
+    While it waits and nothing is queued, the thread that brings an urgent message may run its handler itself
     (:meth:`run_now`): waking another thread would cost as much as the rest of the way through this process.
+
+    Attributes
+    ----------
+    dropped : dict
+        Lane or cause → messages that were dropped since the start.
     """
 
     def __init__(self) -> None:
         self.on_put: Callable[[], None] | None = None
         """Called after each :meth:`put`, on the thread that puts: wakes a loop that waits for something else, too."""
-        self._queue: queue.SimpleQueue[tuple[Handler, Any]] = queue.SimpleQueue()
+        self.dropped: dict[str, int] = {}
+        self._lanes: tuple[deque[Item], ...] = tuple(deque() for _ in Lane)
+        self._tokens: queue.SimpleQueue[None] = queue.SimpleQueue()  # one for each message; to wait for
         self._waiting = 0
         self._count = threading.RLock()  # reentrant: a signal handler may put while its own thread puts
         # Closed except while the runtime waits, so no foreign thread ever meets a node that is being built or busy.
@@ -56,9 +83,41 @@ class Mailbox:
         """Have `handler` called with `message` on the runtime's thread. Any thread may put."""
         with self._count:
             self._waiting += 1
-        self._queue.put((handler, message))
+            self._lanes[0].append((handler, message, None))
+        self._tokens.put(None)
         if self.on_put is not None:
             self.on_put()
+
+    def put_into(self, lane: Lane, handler: Handler, message: Any, on_drop: Handler, *, always: bool = False) -> None:
+        """Do the same with a message that may be dropped when too many wait; then call `on_drop(message)`.
+
+        The oldest of the lane is dropped, of orders the new one: those before it may be stops. `always`: it is a stop
+        and is never dropped.
+        """
+        items = self._lanes[lane]
+        with self._count:
+            full = len(items) >= ROOM[lane] and not always
+            if full:
+                self.dropped[lane.name.lower()] = self.dropped.get(lane.name.lower(), 0) + 1
+            if not full:
+                self._waiting += 1
+                items.append((handler, message, on_drop))
+            elif lane != Lane.ORDERS:
+                _, oldest, forget = items.popleft()
+                items.append((handler, message, on_drop))
+        if not full:
+            self._tokens.put(None)
+        elif lane == Lane.ORDERS:
+            on_drop(message)
+        elif forget is not None:
+            forget(oldest)
+        if self.on_put is not None:
+            self.on_put()
+
+    def note_drop(self, cause: str) -> None:
+        """Count a message that was dropped before it came here."""
+        with self._count:
+            self.dropped[cause] = self.dropped.get(cause, 0) + 1
 
     def run_now(self, handler: Handler, message: Any) -> bool:
         """Run `handler` on this thread if the runtime is waiting and nothing is queued; else return False.
@@ -82,9 +141,10 @@ class Mailbox:
 
     def drain(self, most: int | None = None) -> int:
         """Deliver all that is there, and what that causes, but not more than `most`; return how many."""
-        count = 0
-        while count != most and not self._queue.empty():
-            self._handle(*self._queue.get_nowait())
+        count, tokens = 0, self._tokens
+        while count != most and not tokens.empty():
+            tokens.get_nowait()
+            self._handle()
             count += 1
         return count
 
@@ -94,17 +154,19 @@ class Mailbox:
             if timeout_s > 0:
                 self._gate.release()
                 try:
-                    item = self._queue.get(timeout=timeout_s)
+                    self._tokens.get(timeout=timeout_s)
                 finally:
                     self._gate.acquire()
             else:
-                item = self._queue.get_nowait()
+                self._tokens.get_nowait()
         except queue.Empty:
             return False
-        self._handle(*item)
+        self._handle()
         return True
 
-    def _handle(self, handler: Handler, message: Any) -> None:
+    def _handle(self) -> None:
+        """Deliver the first message of the first lane that has one; there is one."""
+        handler, message, _ = next(lane for lane in self._lanes if lane).popleft()
         try:
             handler(message)
         finally:
@@ -150,12 +212,13 @@ class Scheduler(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LoopStats:
-    """Sum over a runtime's timers: how well the deadlines were kept."""
+    """Sum over a runtime's timers: how well the deadlines were kept; and what its mailbox has dropped, by lane."""
 
     ticks: int
     late: int
     missed: int
     worst_late_s: float
+    dropped: Mapping[str, int] = field(default_factory=dict)
 
 
 class Runtime:
@@ -201,7 +264,7 @@ class Runtime:
                 late += timer.late
                 missed += timer.missed
                 worst_late_s = max(worst_late_s, timer.worst_late_s)
-        return LoopStats(ticks=ticks, late=late, missed=missed, worst_late_s=worst_late_s)
+        return LoopStats(ticks, late, missed, worst_late_s, self.mailbox.dropped)
 
     def stop(self) -> None:
         """End :meth:`run` for good after the current callback. Any thread or signal handler may call it."""

@@ -161,6 +161,20 @@ class Store:
         except ConfigError as error:
             log.error("not saved: the next start will not restore it", error=str(error), keys=sorted(values)[:5])
 
+    def forget(self, *keys: str) -> None:
+        """Take keys away with all their changes, as if they had never been set; a failure is logged, as in `keep`."""
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                for table in ("entry", "history"):
+                    self._db.executemany(f"DELETE FROM {table} WHERE key = ?", [(key,) for key in keys])  # noqa: S608
+            except sqlite3.Error:
+                self._db.execute("ROLLBACK")
+                raise
+            self._db.execute("COMMIT")
+        except sqlite3.Error as error:
+            log.error("not taken out of the database", error=str(self._explain(error)), keys=sorted(keys)[:5])
+
     def seed(self, entries: Mapping[str, Stored], author: str = SEED) -> tuple[str, ...]:
         """Write the values of the TOML files, where nothing else was written since; return the keys that changed."""
         changed: dict[str, Stored] = {}

@@ -10,7 +10,7 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from fullswarm.identity import Credentials, Grant, Role
 
@@ -51,16 +51,25 @@ class Authority:
         role: Role,
         *,
         generation: int = 1,
-        hosts: Sequence[str] = LOOPBACK,
+        hosts: Sequence[str] | None = None,
         starts: dt.timedelta = -HOUR,
         ends: dt.timedelta = 24 * HOUR,
         common_name: str | None = None,
     ) -> Credentials:
-        """Make a certificate and its key; valid from `starts` to `ends` after now, for a hub at `hosts`."""
+        """Make a certificate and its key; valid from `starts` to `ends` after now.
+
+        Parameters
+        ----------
+        hosts
+            Addresses at which it may serve as a hub; None: those of loopback for the role ``hub``, none for others.
+        """
+        if hosts is None:
+            hosts = LOOPBACK if role == "hub" else ()
+        purposes = [ExtendedKeyUsageOID.CLIENT_AUTH] + ([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])
         key = ec.generate_private_key(ec.SECP256R1())
         now = dt.datetime.now(dt.UTC)
         common_name = f"{name}.{generation}" if common_name is None else common_name
-        issued = (
+        unsigned = (
             x509.CertificateBuilder()
             .subject_name(_name(common_name))
             .issuer_name(self._name)
@@ -68,10 +77,13 @@ class Authority:
             .serial_number(x509.random_serial_number())
             .not_valid_before(now + starts)
             .not_valid_after(now + ends)
-            .add_extension(x509.SubjectAlternativeName([_alternative(each) for each in hosts]), critical=False)
+            .add_extension(x509.ExtendedKeyUsage(purposes), critical=False)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .sign(self._key, hashes.SHA256())
         )
+        if hosts:
+            names = x509.SubjectAlternativeName([_alternative(each) for each in hosts])
+            unsigned = unsigned.add_extension(names, critical=False)
+        issued = unsigned.sign(self._key, hashes.SHA256())
         certificate, private = self.folder / f"{common_name}.pem", self.folder / f"{common_name}.key"
         certificate.write_bytes(issued.public_bytes(serialization.Encoding.PEM))
         private.write_bytes(

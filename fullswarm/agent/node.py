@@ -111,7 +111,7 @@ class AgentNode:
         )  # fmt: skip
         top_speed = self.controller.speed_limit.tolist()
         extra = np.array([each.stop_extra(top) for each, top in zip(limits, top_speed, strict=True)]).reshape(-1, 2)
-        self.neighbours = _neighbours(settings, fleet, self.controller, accel, extra)
+        self.neighbours = _neighbours(config, fleet, self.controller, accel, extra)
         self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s, wall_s)
         self.neighbours.delay_of = self.core_clock.delay_s
         self._state_subscriptions = CellSubscriptions(
@@ -126,7 +126,9 @@ class AgentNode:
             from fullswarm.agent.behaviours.navigate import prepare  # most robots have no map, and start sooner without
 
             prepare(self.obstacle_map.given, config.bounds_m, state.radius, settings.safety_margin_m)
-        self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
+        self._obstacle_sharing = ObstacleSharing(
+            bus, keys, scheduler, identity.host, self.obstacle_map, (*config.robots, *fleet.ids)
+        )
         range_m = min(each.bodies_range_m for each in fleet.descriptions)
         self.objects = ObjectTracker(
             self.neighbours, range_m, settings.object_speed_m_s, settings.object_accel_m_s2
@@ -499,8 +501,9 @@ def _doubt(reflexes: Reflexes, conflicts: PoseConflicts) -> Doubt:
 
 
 def _neighbours(
-    settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array, extra: Array
+    config: SwarmConfig, fleet: Fleet, controller: RobotController, accel: Array, extra: Array
 ) -> Neighbours:
+    settings = config.agent
     # A robot that states no limits is taken for one like this one.
     assumed = Assumed(
         accel_m_s2=float(accel.max()),
@@ -512,7 +515,7 @@ def _neighbours(
         extra_m=float(extra[:, 0].max()),
         extra_s=float(extra[:, 1].max()),
     )
-    return Neighbours(fleet.ids, settings.neighbour_timeout_s, assumed)
+    return Neighbours(fleet.ids, settings.neighbour_timeout_s, assumed, config.robots)
 
 
 def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController, tracker: ObjectTracker) -> SafetyFilter:

@@ -134,6 +134,7 @@ class Context:
     dt_s: float = 0.02
     _own: Words | None = field(default=None, init=False)
     _received: Words | None = field(default=None, init=False)
+    _names_then: Sequence[str] = field(default=(), init=False)  # a row may be given to another robot
 
     @staticmethod
     def of(position: Array, heading: Array, names: Sequence[str]) -> Context:
@@ -162,8 +163,8 @@ class Context:
     @property
     def received(self) -> Words:
         """Ids of the robots received, (m,)."""
-        if self._received is None or len(self._received) != len(self.names):
-            self._received = np.array(self.names, np.str_)
+        if self._received is None or self._names_then != self.names:
+            self._received, self._names_then = np.array(self.names, np.str_), list(self.names)
         return self._received
 
     @property

@@ -11,6 +11,9 @@ from fullswarm.runtime import Mailbox
 
 M = TypeVar("M", bound=Message)
 
+CACHED_KEYS = 4096
+"""Keys whose subscribers are cached: every reply has a key of its own."""
+
 
 class _Subscription:
     def __init__(
@@ -48,6 +51,8 @@ class LocalBus:
             return
         route = self._routes.get(key)
         if route is None:
+            if len(self._routes) >= CACHED_KEYS:
+                self._routes.clear()
             route = tuple(each for each in self._subscriptions if matches(each.expression, key))
             self._routes[key] = route
         for subscription in route:

@@ -22,6 +22,7 @@ import zenoh
 from fullswarm.bus.base import Delivery, Subscription, matches
 from fullswarm.bus.codec import decode, encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, host_of, is_secured
+from fullswarm.bus.lanes import Bucket, service_of
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError, FullswarmError, MessageError, Unreachable
 from fullswarm.identity import Credentials
@@ -30,7 +31,7 @@ from fullswarm.identity.binding import Check, check_of
 from fullswarm.identity.credentials import UNNAMED
 from fullswarm.keys import ANY, ROBOT_ID
 from fullswarm.messages import Message
-from fullswarm.runtime import Mailbox
+from fullswarm.runtime import ROOM, Mailbox
 
 M = TypeVar("M", bound=Message)
 
@@ -307,6 +308,7 @@ class Origin(NamedTuple):
 
     sender: str
     check: Check | None
+    bucket: Bucket | None = None  # limits the rate; None: there is no limit
 
 
 class Inbox:
@@ -359,6 +361,9 @@ class Inbox:
         self._mailbox, self._handler, self._latest = mailbox, handler, latest
         self._on_bad, self._on_close = on_bad, on_close
         self._urgent, self._with_sender, self._secured = urgent, with_sender, secured
+        self._service, self._clock = service_of(expression), MonotonicClock()
+        self._too_often = MessageError(f"more than {self._service.rate_hz:g} a second of one sender")
+        self._full = MessageError(f"the node is behind: {ROOM[self._service.lane]} messages wait")
         self._origins: dict[str, Origin] = {}
         self._waiting: dict[str, Any] = {}
         self._lock = threading.Lock()
@@ -377,6 +382,10 @@ class Inbox:
         """Take a message from another process."""
         key = str(sample.key_expr)
         origin = self._origins.get(key) or self._origin(key)
+        if origin.bucket is not None and not origin.bucket.take(self._clock.now_s()):
+            self._mailbox.note_drop("rate")
+            self._on_bad(key, self._too_often)
+            return
         try:
             message = decode(sample.payload.to_bytes(), self.kind)
             if origin.check is not None and (refusal := origin.check(message)):
@@ -387,10 +396,25 @@ class Inbox:
         item = Delivery(message, origin.sender) if self._with_sender else message
         if self._urgent and self._mailbox.run_now(self._deliver, item):
             return
-        if self._latest:
+        self._enqueue(key, message, item)
+
+    def _enqueue(self, key: str, message: Message, item: Any) -> None:
+        """Have an item wait for the node: `message`, or its delivery."""
+        service = self._service
+        if service.stops and (order_id := getattr(message, "id", "")):  # copies of an order that waits need no place
+            self._replace(f"{order_id} {getattr(message, 'engaged', True)}", item)
+        elif self._latest:
             self._replace(key, item)
         else:
-            self._mailbox.put(self._deliver, item)
+            self._mailbox.put_into(service.lane, self._deliver, item, self._lost, always=service.stops)
+
+    def _lost(self, _: Any) -> None:
+        self._on_bad(self.expression, self._full)
+
+    def _lost_key(self, key: str) -> None:
+        with self._lock:
+            self._waiting.pop(key, None)
+        self._on_bad(key, self._full)
 
     def _origin(self, key: str) -> Origin:
         _, _, rest = key.partition("/")
@@ -399,7 +423,9 @@ class Inbox:
         with self._lock:
             if len(self._origins) >= CACHED_KEYS:
                 self._origins.clear()
-            self._origins[key] = origin = Origin(sender, check_of(rest, sender, secured=self._secured))
+            bucket = Bucket(self._service.rate_hz, self._clock.now_s()) if self._service.rate_hz > 0.0 else None
+            check = check_of(rest, sender, secured=self._secured)
+            self._origins[key] = origin = Origin(sender, check, bucket)
         return origin
 
     def offer(self, key: str, message: Message, sender: str) -> None:
@@ -408,18 +434,15 @@ class Inbox:
             error = MessageError(f"got {type(message).__name__}", where=self.kind.__name__)
             self._on_bad(key, error)
             return
-        item = Delivery(message, sender) if self._with_sender else message
-        if self._latest:
-            self._replace(key, item)
-        else:
-            self._mailbox.put(self._deliver, item)
+        self._enqueue(key, message, Delivery(message, sender) if self._with_sender else message)
 
     def _replace(self, key: str, item: Any) -> None:
         with self._lock:
             is_new = key not in self._waiting
             self._waiting[key] = item
         if is_new:
-            self._mailbox.put(self._deliver_key, key)
+            service = self._service
+            self._mailbox.put_into(service.lane, self._deliver_key, key, self._lost_key, always=service.stops)
 
     def _deliver(self, item: Any) -> None:
         if self._active:
@@ -427,8 +450,8 @@ class Inbox:
 
     def _deliver_key(self, key: str) -> None:
         with self._lock:
-            item = self._waiting.pop(key)
-        if self._active:
+            item = self._waiting.pop(key, None)
+        if self._active and item is not None:
             self._handler(item)
 
     def close(self) -> None:

@@ -14,8 +14,8 @@ import math
 import msgspec
 
 from fullswarm.bus import Bus
-from fullswarm.core.roster import Member, Roster
-from fullswarm.keys import Keys
+from fullswarm.core.roster import STRANGERS, Member, Roster
+from fullswarm.keys import ROBOT_ID, Keys
 from fullswarm.messages import EStop, EStopReceipt
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
@@ -23,6 +23,8 @@ from fullswarm.store import Store
 
 LATCHED = "estop/"
 REMEMBERED = 1024
+KEEP_S = 0.1
+"""Between two writes to the database."""
 OLD_REPORT_S = 1.0
 """A report that arrives within this time of an order or a receipt may be older; also the period of repeated orders."""
 
@@ -51,6 +53,9 @@ class Latches:
         self._latches = {
             entry.key.removeprefix(LATCHED): msgspec.convert(entry.value, Latch) for entry in store.list(LATCHED)
         }
+        self._engaged_s: Recent[tuple[str, str], float] = Recent(4 * REMEMBERED)  # by robot and clock
+        self._unkept: dict[str, None] = {}  # robots whose entry in the database is not up to date
+        self._write_waits, self._kept_s = False, -math.inf
         self._since_s: dict[str, float] = {}  # of the newest order or receipt
         self._counter = itertools.count(1)
         self._subscriptions = [
@@ -58,9 +63,11 @@ class Latches:
             bus.subscribe(keys.estop_receipt(), EStopReceipt, self._confirmed),
         ]
         roster.watch(self._reported, lambda _: None)
+        roster.watch_forgotten(self._forget)
 
     def close(self) -> None:
         """Stop recording."""
+        self._write()
         for subscription in self._subscriptions:
             subscription.close()
 
@@ -69,15 +76,48 @@ class Latches:
         if order.id and key in self._orders:
             return  # a late copy must not overrule what came after it
         self._orders[key] = None
-        robots = order.robots or (*self._roster.known(), *(() if order.engaged else self._latches))
+        robots = [robot for robot in self._meant(order) if self._in_force(order, robot)]
         for robot in robots:
-            self._since_s[robot] = self._scheduler.now_s()
+            self._note(robot)
             if order.engaged:
                 there = self._roster.is_present(robot)
                 self._latches[robot] = Latch(order.reason, self._roster.process(robot) if there else "")
             else:
                 self._latches.pop(robot, None)
         self._keep(*robots)
+
+    def _meant(self, order: EStop) -> tuple[str, ...]:
+        """Return the robots of an order; of unknown ones, which may come later, only so many are remembered."""
+        known = dict.fromkeys(self._roster.known())
+        if not order.robots:
+            return (*known, *(() if order.engaged else [each for each in self._latches if each not in known]))
+        if not order.engaged:
+            return tuple(robot for robot in dict.fromkeys(order.robots) if robot in self._latches or robot in known)
+        room = STRANGERS - sum(each not in known for each in self._latches)
+        unknown = [each for each in dict.fromkeys(order.robots) if each not in known and ROBOT_ID.match(each)]
+        return (*(each for each in dict.fromkeys(order.robots) if each in known), *unknown[: max(room, 0)])
+
+    def _in_force(self, order: EStop, robot: str) -> bool:
+        """Tell whether an order counts for a robot: a release, not after a newer e-stop of its clock."""
+        if not order.clock:
+            return True
+        newest_s = self._engaged_s.get((robot, order.clock), -math.inf)
+        if order.engaged:
+            self._engaged_s[robot, order.clock] = max(order.stamp_s, newest_s)
+        return order.engaged or order.stamp_s >= newest_s
+
+    def _note(self, robot: str) -> None:
+        """Note the time of an order or a receipt."""
+        now_s = self._scheduler.now_s()
+        if len(self._since_s) > STRANGERS and robot not in self._since_s:
+            self._since_s = {each: at_s for each, at_s in self._since_s.items() if now_s - at_s < OLD_REPORT_S}
+        self._since_s[robot] = now_s
+
+    def _forget(self, robot: str) -> None:
+        """Forget a robot that is no longer known; one that is latched stays so, as far as there is room."""
+        self._since_s.pop(robot, None)
+        if robot not in self._latches:
+            self._store.forget(LATCHED + robot)
 
     def _confirmed(self, receipt: EStopReceipt) -> None:
         """Record what a robot did, perhaps by an order that did not reach this core."""
@@ -93,7 +133,7 @@ class Latches:
             return
         else:
             del self._latches[robot]
-        self._since_s[robot] = self._scheduler.now_s()
+        self._note(robot)
         self._keep(robot)
 
     def _reported(self, member: Member, restarted: bool) -> None:
@@ -124,7 +164,7 @@ class Latches:
     def _again(self, robot: str, latch: Latch, process: str) -> None:
         """Repeat the order; the next reports show whether it arrived."""
         self._latches[robot] = Latch(latch.reason, process)
-        self._since_s[robot] = self._scheduler.now_s()
+        self._note(robot)
         order = EStop(
             id=f"{self._process}-estop-{next(self._counter)}",
             engaged=True,
@@ -135,6 +175,18 @@ class Latches:
         self._bus.publish(self._keys.estop, order)
 
     def _keep(self, *robots: str) -> None:
+        """Keep latches in the database: at once, of a flood what has come of it after `KEEP_S`."""
+        now_s = self._scheduler.now_s()
+        self._unkept |= dict.fromkeys(robots)
+        if now_s - self._kept_s >= KEEP_S:
+            self._write()
+        elif not self._write_waits:
+            self._write_waits = True
+            self._scheduler.after(KEEP_S, self._write)
+
+    def _write(self) -> None:
+        self._write_waits, self._kept_s = False, self._scheduler.now_s()
+        robots, self._unkept = self._unkept, {}
         values = {
             LATCHED + robot: msgspec.to_builtins(self._latches[robot]) if robot in self._latches else None
             for robot in robots

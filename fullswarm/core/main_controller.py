@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -46,6 +47,8 @@ from fullswarm.reasons import NONE, Code, Reason, given, joined, reason
 from fullswarm.runtime import Scheduler
 
 UNNAMED = "an unnamed operator"
+FLOOD = 20
+"""Different stops within a second."""
 
 
 class Halted(NamedTuple):
@@ -80,6 +83,7 @@ class MainController:
         self._scheduler = scheduler
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
         self._on_stop: list[Callable[[Halted], None]] = []
+        self._stops_s: deque[float] = deque(maxlen=FLOOD)
         self.version_problem: Callable[[str], Reason] = lambda _: NONE
         """Why the core and a robot cannot work together, see :class:`~fullswarm.bus.versions.VersionWatch`."""
         handler.watch_holders(remapper.narrow)
@@ -264,6 +268,12 @@ class MainController:
             text = "e-stop" + (f": {estop.reason}" if estop.reason else "")
             self._stand(estop.id, estop.robots, given(text, Code.ESTOP))
 
+    def _flooded(self) -> bool:
+        """Tell whether so many stops come that those which change nothing must cost little."""
+        now_s = self._scheduler.now_s()
+        self._stops_s.append(now_s)
+        return len(self._stops_s) == FLOOD and now_s - self._stops_s[0] < 1.0
+
     def _stand(self, request_id: str, robots: Sequence[str], why: Reason) -> None:
         """Order `robots` to stand, leaving out unknown ones: a stop is never refused for a misspelt name."""
         if not request_id:  # it cannot be distinguished from others, so each one counts
@@ -274,6 +284,9 @@ class MainController:
         known = self._roster.known()
         addressed = [robot for robot in dict.fromkeys(robots) if robot in known] if robots else known
         self._handler.note_halt(addressed, request_id)
+        if addressed and self._flooded() and all(map(self._handler.stands, addressed)):
+            self._board.publish(_status(request_id, STOP, "ended", given("the robots were told to stand before")))
+            return
         orders = {robot: Order(request_id=request_id, behaviour=STOP) for robot in addressed}
         if orders:
             self._handler.submit(orders, why, at_once=True)

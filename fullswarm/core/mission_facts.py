@@ -18,10 +18,12 @@ from fullswarm.keys import Keys
 from fullswarm.messages import RobotStates, Summary
 from fullswarm.parameters import Goals, goals_of
 from fullswarm.reasons import Code
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
 ARRIVED_M = 0.1
 """Default distance from the goal, if the behaviour's own radius is not larger: below it poses are not certain."""
+MOST_METRICS = 256
 FRESH_S = 1.0
 """An older position does not count."""
 
@@ -32,8 +34,9 @@ class MissionFacts:
     def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, library: Library, roster: Roster) -> None:
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._library, self._roster = library, roster
-        self._places: dict[str, tuple[float, float, float]] = {}
-        self._summaries: dict[str, tuple[float, Summary]] = {}
+        self._places: dict[str, tuple[float, float, float]] = {}  # of robots that the roster knows
+        self._summaries: Recent[str, tuple[float, Summary]] = Recent(MOST_METRICS)
+        roster.watch_forgotten(lambda robot: self._places.pop(robot, None))
         self._states_subscription: Subscription | None = None
         self._summary_subscription: Subscription | None = None
         self._goals: dict[str, tuple[dict[str, Goals], float]] = {}  # by request
@@ -109,7 +112,8 @@ class MissionFacts:
             return  # a place in another frame than the goals
         now_s = self._scheduler.now_s()
         for robot, x_m, y_m in zip(states.robots, states.x_m, states.y_m, strict=True):
-            self._places[robot] = (x_m, y_m, now_s)
+            if self._roster.is_present(robot):
+                self._places[robot] = (x_m, y_m, now_s)
 
     def _on_summary(self, summary: Summary) -> None:
         self._summaries[summary.metric] = (self._scheduler.now_s(), summary)

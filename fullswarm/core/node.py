@@ -96,7 +96,7 @@ class CoreNode:
         )
         self.extra = tuple(extra)
         checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check, f"{GROUP}*": groups.check}
-        params = ParamServer(bus, keys, NODE, store, checks, self.library.expand)
+        params = ParamServer(bus, keys, NODE, store, checks, self.library.expand, now_s=scheduler.now_s)
         self.relay = StateRelay(bus, keys, scheduler, config.agent.sensing_radius_m, config.state_cell_m)
         self._parts: tuple[Closing, ...] = (
             self.missions, controller, authority, self.handler, board, self.remapper, latches, self.relay, roster,

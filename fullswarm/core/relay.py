@@ -15,8 +15,9 @@ import numpy as np
 
 from fullswarm.bus import Bus
 from fullswarm.bus.base import Subscription
-from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cell_of, cells_within
+from fullswarm.keys import ANY, ROBOT_ID, WHOLE_SWARM_CELL, Keys, cell_of, cells_within
 from fullswarm.messages import Reception, Relayed, RelayedStates, RobotStates
+from fullswarm.recent import Names
 from fullswarm.runtime import Scheduler
 
 RELAY_S = 0.1
@@ -24,6 +25,10 @@ PRESENT_S = 2.0
 """A host without a report for so long is not asked for, and gets nothing."""
 KEEP_S = 2.0
 """A subscription to a host's states outlasts the need by so much: links that are cut now and then cost no new ones."""
+MOST_HOSTS = 1000
+"""Hosts at most; see :class:`~fullswarm.recent.Names`."""
+MOST_STATES = 64
+"""Messages of one sequence, one per grid cell, that are passed on at most."""
 OLDEST_S = 1.0
 """Older states are not passed on: the robot is silent, which its neighbours know by themselves."""
 
@@ -57,6 +62,8 @@ class StateRelay:
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._sensing_m, self._cell_m = sensing_m, cell_m
         self._hosts: dict[str, _Host] = {}
+        self._names = Names(MOST_HOSTS, self._forget)
+        self._free: list[int] = []  # rows of forgotten hosts
         self._place = np.full((16, 2), math.nan)  # of each host's first robot, to look at few hosts only
         self._extent_m = np.zeros(16)
         self._row: dict[str, int] = {}
@@ -83,9 +90,11 @@ class StateRelay:
         now_s = self._scheduler.now_s()
         host = self._hosts.get(report.host)
         if host is None:
-            if not report.robots:
+            if not report.robots or not ROBOT_ID.match(report.host) or not self._names.admit(report.host, now_s):
                 return
             host = self._hosts[report.host] = _Host(report, now_s)
+        else:
+            self._names.admit(report.host, now_s)
         host.report, host.received_s = report, now_s
         self._locate(report)
         if len(report.robots):
@@ -93,8 +102,18 @@ class StateRelay:
             for name in host.missing:
                 self._need(name, now_s)
 
+    def _forget(self, name: str) -> None:
+        host = self._hosts.pop(name)
+        if host.subscription is not None:
+            host.subscription.close()
+        row = self._row.pop(name)
+        self._place[row] = math.nan
+        self._free.append(row)
+
     def _locate(self, report: Reception) -> None:
-        row = self._row.setdefault(report.host, len(self._row))
+        row = self._row.get(report.host)
+        if row is None:
+            row = self._row[report.host] = self._free.pop() if self._free else len(self._row)
         if row == len(self._place):
             self._place = np.vstack([self._place, np.full_like(self._place, math.nan)])
             self._extent_m = np.concatenate([self._extent_m, np.zeros_like(self._extent_m)])
@@ -135,7 +154,8 @@ class StateRelay:
                 newest = host.states[0] if host.states else None
                 if newest is None or states.sequence != newest.sequence:
                     host.states = []
-                host.states.append(states)
+                if len(host.states) < MOST_STATES:
+                    host.states.append(states)
                 host.states_s = self._scheduler.now_s()
 
             cell = WHOLE_SWARM_CELL if self._cell_m <= 0.0 else ANY
@@ -143,6 +163,7 @@ class StateRelay:
 
     def _relay(self) -> None:
         now_s = self._scheduler.now_s()
+        self._names.sweep(now_s)
         for name, host in self._hosts.items():
             if host.missing and now_s - host.received_s <= PRESENT_S:
                 self._send(name, host.missing, now_s)
@@ -154,7 +175,7 @@ class StateRelay:
     def _send(self, name: str, missing: tuple[str, ...], now_s: float) -> None:
         found = tuple(
             Relayed(states=states, age_s=now_s - self._hosts[other].states_s)
-            for other in missing for states in self._of(other, now_s)
+            for other in missing if other in self._hosts for states in self._of(other, now_s)
         )  # fmt: skip
         if not found:
             return

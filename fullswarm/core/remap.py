@@ -44,7 +44,7 @@ class Remapper:
         self._active: dict[str, CentralisedRequest] = {}
         self._kept: set[str] = set()  # requests with an entry in the database
         self._ended: Recent[str, str] = Recent(MEMORY)  # request id → behaviour
-        self._held_elsewhere: set[str] = set()
+        self._held_elsewhere: Recent[str, None] = Recent(MEMORY)
         self._counter = itertools.count(1)
         self._started_s = scheduler.now_s()
         self._subscription = bus.subscribe(keys.heartbeat(NODE), Heartbeat, self._on_heartbeat)
@@ -83,7 +83,7 @@ class Remapper:
         """Leave only `robots` in a request; without robots it ends."""
         request = self._active.get(request_id)
         if request is None and not robots:
-            self._held_elsewhere.discard(request_id)  # its node gets the end when it next names the request
+            self._held_elsewhere.pop(request_id, None)  # its node gets the end when it next names the request
         if request is None or request.robots == robots:
             return
         if robots:
@@ -96,7 +96,7 @@ class Remapper:
 
     def spare(self, request_id: str) -> None:
         """Leave a request running whose parameters this core lacks: robots found running it were adopted."""
-        self._held_elsewhere.add(request_id)
+        self._held_elsewhere[request_id] = None
 
     def close(self) -> None:
         """Stop keeping the node in step."""

@@ -21,7 +21,7 @@ from fullswarm.core.request_order import RequestOrder
 from fullswarm.core.request_status import Progress, StatusBoard
 from fullswarm.core.roster import Member, Roster
 from fullswarm.keys import Keys
-from fullswarm.messages import CentralisedCommands, Command, ControlAck, Halt, ParamEntry, RequestStatus, Result
+from fullswarm.messages import STOP, CentralisedCommands, Command, ControlAck, Halt, ParamEntry, RequestStatus, Result
 from fullswarm.reasons import NONE, NOTHING, RESULTS, Code, Reason, given, reason
 from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
@@ -76,8 +76,9 @@ class RequestHandler:
         self._closed = self._held_back = False
         self._on_change: list[Release] = []
         self._on_halt: list[HaltHandler] = []
-        self._adopted = adopted
+        self._adopted, self._request_order = adopted, request_order
         roster.watch(self._reported, self._fell_silent)
+        roster.watch_forgotten(self._forget)
         self._subscriptions = [
             bus.subscribe(keys.ack(), ControlAck, self._acknowledged),
             bus.subscribe(keys.centralised_commands(), CentralisedCommands, self._distribute),
@@ -138,6 +139,11 @@ class RequestHandler:
         """Return the present order of `robot`."""
         state = self._robots.get(robot)
         return state.order if state else None
+
+    def stands(self, robot: str) -> bool:
+        """Tell whether `robot` was told to stand, and nothing else waits for it."""
+        state = self._robots.get(robot)
+        return state is not None and state.waiting is None and state.order is not None and state.order.behaviour == STOP
 
     def watch_holders(self, callback: Release) -> None:
         """Have ``callback(request_id, robots)`` called when robots left a request; no robots: it has ended."""
@@ -284,6 +290,18 @@ class RequestHandler:
         state = self._state(robot)
         state.present = False
         self._mark_robot(state)
+
+    def _forget(self, robot: str) -> None:
+        """Drop all that is kept of a robot that is not of the fleet file and has not been received for long."""
+        state = self._robots.pop(robot, None)
+        for order in () if state is None else (state.order, state.waiting):
+            if order is not None:
+                self._release(robot, order.request_id, given("the robot is no longer known"), superseded=False)
+        if state is not None:
+            state.waiting = None  # its timer may still run
+        self._request_order.forget(robot)
+        self._kept.discard(robot)
+        self._store.forget(WANTED + robot)
 
     def _adopt(self, state: Desired, request_id: str, behaviour: str) -> None:
         """Adopt what a robot runs already: this core has no record of it, and the robot must not stop for that."""

@@ -44,6 +44,11 @@ class RequestOrder:
             return stop.request_id
         return _record(self._requests.setdefault(robot, Recent(REMEMBERED)), line, _Entry(request_id, stamp_s))
 
+    def forget(self, robot: str) -> None:
+        """Drop what is recorded of a robot."""
+        self._requests.pop(robot, None)
+        self._stops.pop(robot, None)
+
     def stop(self, robot: str, request_id: str, clock: str, stamp_s: float) -> None:
         """Record a stop; with an empty `clock` its time cannot be compared."""
         if clock:

@@ -9,11 +9,14 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus import Bus
 from fullswarm.keys import ROBOT_ID, Keys
-from fullswarm.messages import MOST, HealthReport, ProfileQuery, RobotHealth, RobotProfile, RobotProfiles
+from fullswarm.messages import HealthReport, ProfileQuery, RobotHealth, RobotProfile, RobotProfiles
+from fullswarm.recent import Names, Recent
 from fullswarm.runtime import Scheduler
 
 SILENCE_S = 1.5
 CHECK_S = 0.1
+STRANGERS = 1000
+"""Robots that are not of the fleet file, at most; see :class:`~fullswarm.recent.Names`."""
 ASK_S = 1.0
 """Between two queries for profiles that have not been received."""
 PAST = 16
@@ -42,7 +45,7 @@ class Member:
 
 
 class Roster:
-    """The configured robots and all that ever reported.
+    """The configured robots, and those that report without being of the fleet file, until they are forgotten.
 
     Parameters
     ----------
@@ -65,8 +68,11 @@ class Roster:
         self._members = {robot: Member(robot) for robot in configured}
         self._on_report: list[Callable[[Member, bool], None]] = []
         self._on_absence: list[Callable[[str], None]] = []
+        self._on_forgotten: list[Callable[[str], object]] = []
+        self._names = Names(STRANGERS, self._forget, configured)
         self._bus, self._keys, self._asked_s = bus, keys, -math.inf
         self._profiles: dict[str, RobotProfile] = {}
+        self._early: Recent[str, RobotProfile] = Recent(STRANGERS)  # of robots that have not reported yet
         self._subscriptions = [
             bus.subscribe(keys.health(), HealthReport, self._report),
             bus.subscribe(keys.profile(), RobotProfiles, self._describe, latest=True),
@@ -77,6 +83,10 @@ class Roster:
         """Have `on_report(member, restarted)` called for each report, `on_absence(robot)` when one falls silent."""
         self._on_report.append(on_report)
         self._on_absence.append(on_absence)
+
+    def watch_forgotten(self, callback: Callable[[str], object]) -> None:
+        """Have `callback(robot)` called when a robot is no longer known; it is not of the fleet file."""
+        self._on_forgotten.append(callback)
 
     def known(self) -> tuple[str, ...]:
         """Return all robots: those of the fleet file in its order, then the others by their first report."""
@@ -110,8 +120,10 @@ class Roster:
 
     def _describe(self, message: RobotProfiles) -> None:
         for profile in message.robots:
-            if profile.robot in self._members or (len(self._profiles) < MOST and ROBOT_ID.match(profile.robot)):
+            if profile.robot in self._members:
                 self._profiles[profile.robot] = profile
+            elif ROBOT_ID.match(profile.robot):  # it may come before the robot's first report
+                self._early[profile.robot] = profile
 
     def process(self, robot: str) -> str:
         """Return the process of `robot`'s agent; empty before the first report."""
@@ -131,7 +143,13 @@ class Roster:
             if member is None:
                 if not ROBOT_ID.match(health.robot):
                     continue  # it would not fit into a key
+                if not self._names.admit(health.robot, now_s):
+                    continue
                 member = self._members[health.robot] = Member(health.robot)
+                if (profile := self._early.pop(health.robot, None)) is not None:
+                    self._profiles[health.robot] = profile
+            else:
+                self._names.admit(health.robot, now_s)
             if member.overtaken(report, now_s):
                 continue
             restarted = member.process != report.process
@@ -142,8 +160,15 @@ class Roster:
             for callback in self._on_report:
                 callback(member, restarted)
 
+    def _forget(self, robot: str) -> None:
+        member = self._members.pop(robot)
+        self._profiles.pop(robot, None)
+        for callback in (*(self._on_absence if member.present else ()), *self._on_forgotten):
+            callback(robot)
+
     def _check(self) -> None:
         self._ask()
+        self._names.sweep(self._scheduler.now_s())
         oldest_s = self._scheduler.now_s() - self._silence_s()
         for member in tuple(self._members.values()):
             if member.present and member.received_s < oldest_s:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -30,6 +31,8 @@ MARGIN, GAIN = "agent/safety_margin_m", "agent/barrier_gain_per_s"
 BOUNDS, BOXES = "world/bounds", "world/boxes"
 SENSING = "agent/sensing_radius_m"
 GROUP = "group/"
+COPIES_S = 0.1
+"""A question is repeated after twice that at the earliest."""
 
 _LIMITS = {
     INTERVAL: Parameter(type="number", unit="s", min=0.0, max=10.0),
@@ -135,6 +138,8 @@ class ParamServer:
         ``*`` means all with its prefix. A key without a check cannot be set from outside.
     show
         Turns an entry into the one that is sent to a reader.
+    now_s
+        Returns the time, by which copies of a question that come together are known; by default all are answered.
     """
 
     def __init__(
@@ -145,10 +150,14 @@ class ParamServer:
         store: Store,
         checks: Mapping[str, Check] | None = None,
         show: Callable[[ParamEntry], ParamEntry] = lambda entry: entry,
+        *,
+        now_s: Callable[[], float] = lambda: math.inf,
     ) -> None:
+        self._now_s = now_s
         self._bus, self._keys, self._layer, self._store = bus, keys, layer, store
         self._checks, self._show = dict(checks or {}), show
         self._done: Recent[str, ParamReply] = Recent(1024)  # a repeated set is answered, not carried out again
+        self._answered_s: Recent[str, float] = Recent(1024)
         self._unwatch = store.watch(self._announce)
         self._subscription = bus.subscribe(keys.param_request(layer), ParamRequest, self._answer)
 
@@ -161,6 +170,10 @@ class ParamServer:
         self._bus.publish(self._keys.param_changed(self._layer), ParamChanged(layer=self._layer, entry=entry))
 
     def _answer(self, request: ParamRequest) -> None:
+        now_s = self._now_s()
+        if now_s - self._answered_s.get(request.id, -math.inf) < COPIES_S:
+            return  # copies that have waited here together need one answer
+        self._answered_s[request.id] = now_s
         reply = self._done.get(request.id)
         if reply is None:
             try:

@@ -19,6 +19,8 @@ from fullswarm.messages import (
     BehaviourRequest,
     CentralisedCommands,
     CentralisedRequest,
+    CertificateReply,
+    CertificateRequest,
     ClockProbe,
     ClockReply,
     Command,
@@ -75,6 +77,7 @@ def _own(*roles: Role) -> Rights:
 
 
 _OWN_ROBOT = _own("robot")
+_CLIENTS: tuple[Role, ...] = tuple(role for role in ROLES if role != "hub")
 _CORE_BEATS: Rights = {"robot": "core"}
 _TRUTH: Rights = {"world": TRUTH}
 _CORE = _any("core")
@@ -178,6 +181,8 @@ TOPICS: tuple[Topic, ...] = (
         _CORE | _PEOPLE,
     ),
     Topic("summary/<metric>", (Summary,), _CORE, _PEOPLE),
+    Topic("identity/<name>/renew", (CertificateRequest,), _own(*_CLIENTS), _CORE),
+    Topic("identity/<name>/certificate", (CertificateReply,), _CORE, _own(*_CLIENTS)),
     Topic("params/*/request", (ParamRequest,), _OPERATORS, _CORE),
     Topic("params/*/reply/<id>", (ParamReply,), _CORE, _OPERATORS),
     Topic("params/<layer>/changed", (ParamChanged,), _CORE, _PEOPLE),

@@ -21,7 +21,7 @@ from fullswarm.clock import wall_time_s
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.identity import certificates
 from fullswarm.identity.certificates import DAY_S, Certificate, when
-from fullswarm.identity.credentials import Credentials, Grant, Role
+from fullswarm.identity.credentials import Credentials, Grant, Role, check_grants
 from fullswarm.identity.folder import KeysFolder, check_name, check_private, read_pem
 
 AUTHORITY_DAYS = 3650.0
@@ -257,12 +257,14 @@ class Authority:
         used = [0 if before is None else before.generation]
         used += [certificates.generation_of(each.common_name) for each in self.folder.grants() if each.name == name]
         generation = max(int(self._wall_s()), max(used) + 1)
+        grants = [each for each in self.folder.grants() if each.name != name]
+        grants.append(Grant(f"{name}.{generation}", name, role))
+        check_grants(grants, f"--role {role}")
         key = certificates.make_key()
         made = self._sign(certificates.load_key(key).public_key(), name, generation, role, days, hosts)
         self.folder.write(self.folder.key_path(name), key)
         self.folder.write(self.folder.certificate_path(name), made)
-        grants = [each for each in self.folder.grants() if each.name != name]
-        self.folder.write_grants([*grants, Grant(f"{name}.{generation}", name, role)])
+        self.folder.write_grants(grants)
 
     def _renew(
         self, before: Certificate, *, days: float | None = None, hosts: Sequence[str] | None = None
@@ -274,8 +276,6 @@ class Authority:
         wanted = before.hosts if hosts is None else hosts
         made = self._sign(public, before.name, before.generation, before.role, life, wanted)
         self.folder.write(path, made)
-        if before.role == "hub":
-            self.folder.write_grants(self.folder.grants())  # the hub opens again, with its new certificate
         return certificates.parse_certificate(made)
 
     def _before(self, name: str) -> Certificate | None:

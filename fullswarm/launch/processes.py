@@ -300,9 +300,17 @@ def serve_on_bus(
     runtime = Runtime(MonotonicClock(), mailbox)
     own, role = identity or (name, ROLE_OF.get(name, "robot"))
     endpoint = config.hub.endpoint
-    bus = ZenohBus(mailbox, hub=endpoint, credentials=credentials_at(endpoint, config.swarm, own, role))
+    credentials = credentials_at(endpoint, config.swarm, own, role)
+    bus = ZenohBus(mailbox, hub=endpoint, credentials=credentials)
     try:
-        return _serve(runtime, build(on_network(bus, runtime, config, name), runtime), with_parent)
+        shown = on_network(bus, runtime, config, name)
+        nodes = list(build(shown, runtime))
+        if credentials is not None:
+            from fullswarm.bus.renewal import renewal_node
+
+            renewal = renewal_node(shown, runtime, Keys(config.swarm), credentials)
+            nodes += [] if renewal is None else [renewal]
+        return _serve(runtime, nodes, with_parent)
     finally:
         bus.close()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import uuid
+import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -11,10 +12,16 @@ from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
 from fullswarm.messages import STOP, BehaviourRequest, EStop, EStopReceipt, Needs, RequestStatus, StopRequest, Value
 from fullswarm.operator.estop import EStopOrder
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler, Timer
 
 NOTHING_NEEDED = Needs()
 RESEND_S = 0.2
+PATIENT_SENDS, SELDOM = 50, 5
+"""A request that has been sent so often without an answer is sent at every fifth of these times only: by a few clients
+that have waited for a core for long, a core that is back must not be kept busy."""
+MOST_ORDERS = 256
+"""E-stops whose receipts are followed; the newest count."""
 STOP_SENDS = 5
 STOP_SPACING_S = 0.1
 AFTER_LOSS_SENDS = 20
@@ -28,6 +35,11 @@ StatusHandler = Callable[[RequestStatus], None]
 def short_id() -> str:
     """Return a fresh id: 48 random bits are plenty for one swarm and still fit a log line."""
     return uuid.uuid4().hex[:12]
+
+
+def due(tick: int, phase: int) -> bool:
+    """Tell whether an unanswered message is sent at a tick of `RESEND_S`; `phase` keeps clients apart."""
+    return tick < PATIENT_SENDS or (tick + phase) % SELDOM == 0
 
 
 @dataclass(slots=True)
@@ -95,7 +107,7 @@ class Operator:
         self.name, self._clock = name or source, clock
         self._new_id = new_id
         self._pending: dict[str, PendingRequest] = {}
-        self._orders: dict[str, EStopOrder] = {}
+        self._orders: Recent[str, EStopOrder] = Recent(MOST_ORDERS)
         self._subscriptions = [
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
             bus.subscribe(keys.estop_receipt(), EStopReceipt, self._on_receipt),
@@ -114,7 +126,7 @@ class Operator:
         needs: Needs = NOTHING_NEEDED,
         roles: Mapping[str, Iterable[str]] | None = None,
     ) -> PendingRequest:
-        """Request `behaviour`; send again every 0.2 s until the core has answered that id once.
+        """Request `behaviour`; send again every 0.2 s, after 10 s each second, until the core has answered it once.
 
         No `robots` means the whole swarm. `on_status` receives every status of the request until a final one.
         With ``resend=False`` it is sent once, for streams whose next message replaces this one. With ``take=True``
@@ -144,9 +156,12 @@ class Operator:
         pending = PendingRequest(request, on_status)
         self._pending[request.id] = pending
 
+        ticks, phase = itertools.count(), zlib.crc32(request.id.encode())
+
         def send() -> None:
-            pending.sent += 1
-            self._bus.publish(self._keys.behaviour_request, request)
+            if due(next(ticks), phase):
+                pending.sent += 1
+                self._bus.publish(self._keys.behaviour_request, request)
 
         send()
         if resend:

@@ -8,6 +8,8 @@ from fullswarm.messages import EStop, EStopReceipt
 from fullswarm.runtime import Scheduler, Timer
 
 REPEAT_S = 0.1
+MOST = 1000
+"""Robots whose receipts are kept; of those that are known, all are."""
 LISTEN_S = 0.6
 """Health reports come at 2 Hz: after this long every running robot has been received."""
 OUTAGE_LISTEN_S = 3.0
@@ -96,6 +98,8 @@ class EStopOrder:
             self._note_other(receipt)
             return
         before = self.receipts.get(receipt.robot)
+        if before is None and len(self.receipts) >= MOST and receipt.robot not in self.concerned():
+            return
         # Copies arrive late and out of order: a robot at standstill does not move again.
         if before == receipt or (before is not None and before.standing and not receipt.standing):
             return

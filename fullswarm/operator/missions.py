@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -20,11 +22,13 @@ from fullswarm.messages import (
     MissionStatus,
     StepStatus,
 )
-from fullswarm.operator.client import RESEND_S, short_id
+from fullswarm.operator.client import RESEND_S, due, short_id
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler, Timer
 
 ReplyHandler = Callable[[MissionReply], None]
 ENDED: tuple[MissionPhase, ...] = ("done", "failed", "aborted")
+MOST_MISSIONS = 256
 SILENT_S = 3.0
 """The core repeats the state of each mission that has not ended every second."""
 
@@ -77,7 +81,7 @@ class MissionClient:
         self._new_id = new_id
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._source, self._name, self._clock, self._on_status = source, name or source, clock, on_status
-        self.missions: dict[str, MissionStatus] = {}
+        self.missions: Recent[str, MissionStatus] = Recent(MOST_MISSIONS)
         self._pending: dict[str, PendingMissionRequest] = {}
         self._subscriptions = [
             bus.subscribe(keys.mission_reply(), MissionReply, self._replied),
@@ -95,7 +99,7 @@ class MissionClient:
         step: str = "",
         take: bool = False,
     ) -> PendingMissionRequest:
-        """Send a request, again every 0.2 s until the core has answered it."""
+        """Send a request, again every 0.2 s, after 10 s each second, until the core has answered it."""
         request = MissionRequest(
             id=self._new_id(), op=op, mission=mission[:64], plan=plan, track=track[:64], step=step[:64], take=take,
             source=self._source, operator=self._name, clock=self._clock, stamp_s=self._scheduler.now_s(),
@@ -103,8 +107,11 @@ class MissionClient:
         pending = PendingMissionRequest(request, on_reply)
         self._pending[request.id] = pending
 
+        ticks, phase = itertools.count(), zlib.crc32(request.id.encode())
+
         def send() -> None:
-            self._bus.publish(self._keys.mission_request, request)
+            if due(next(ticks), phase):
+                self._bus.publish(self._keys.mission_request, request)
 
         send()
         pending.timer = self._scheduler.every(RESEND_S, send)

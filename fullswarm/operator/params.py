@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import random
 from collections.abc import Callable
 from typing import Literal
 
@@ -12,11 +14,12 @@ from fullswarm.messages import ParamChanged, ParamEntry, ParamReply, ParamReques
 from fullswarm.operator import session
 from fullswarm.operator.client import RESEND_S, short_id
 from fullswarm.operator.session import Target
-from fullswarm.runtime import Scheduler
+from fullswarm.runtime import Scheduler, Timer
 
 Stored = Value | dict[str, object] | None
 Operation = Literal["get", "set", "history"]
 CORE = "core"
+RESEND_LAST_S, JITTER = 1.0, 0.25
 
 
 class ParamClient:
@@ -34,6 +37,7 @@ class ParamClient:
     ) -> None:
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._author, self._layer, self._new_id = author, layer, new_id
+        self._chance = random.Random(author)  # noqa: S311  (clients must not ask at the same moments)
 
     def ask(
         self,
@@ -42,20 +46,30 @@ class ParamClient:
         on_reply: Callable[[ParamReply], None],
         value: Stored = None,
     ) -> None:
-        """Send a question every 0.2 s until it is answered; `on_reply` is called once."""
+        """Send a question until it is answered, ever more seldom; `on_reply` is called once.
+
+        The first repetitions come 0.2 s, 0.4 s and 0.8 s apart, the others a second, and a little later by chance: a
+        database that is slow to answer must not be asked more and more.
+        """
         question = ParamRequest(id=self._new_id(), op=op, key=key, value=value, author=self._author)
 
+        timer: Timer | None = None
+
         def receive(reply: ParamReply) -> None:
-            if timer.active and reply.id == question.id:
+            nonlocal timer
+            if timer is not None and reply.id == question.id:
                 timer.cancel()
+                timer = None
                 subscription.close()
                 on_reply(reply)
 
         def send() -> None:
+            nonlocal timer
             self._bus.publish(self._keys.param_request(self._layer), question)
+            timer = self._scheduler.after(next(waits) * (1.0 + JITTER * self._chance.random()), send)
 
         subscription = self._bus.subscribe(self._keys.param_reply(self._layer, question.id), ParamReply, receive)
-        timer = self._scheduler.every(RESEND_S, send)
+        waits = itertools.chain((RESEND_S, 2.0 * RESEND_S, 4.0 * RESEND_S), itertools.repeat(RESEND_LAST_S))
         send()
 
     def watch(self, pattern: str, on_change: Callable[[ParamEntry], None]) -> Subscription:

@@ -143,15 +143,18 @@ def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
         The hub's address or the swarm's name is malformed, or the hub is secured and this operator has no certificate.
     """
     from fullswarm.bus.base import OPERATOR, NamedBus
+    from fullswarm.bus.renewal import renew_later
     from fullswarm.bus.zenoh_bus import ZenohBus
 
     log_to_stderr()
     keys = Keys(target.swarm)
     runtime = Runtime(MonotonicClock())
     hub = target.hub or DEFAULT_HUB
-    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=own_credentials(hub, target.swarm, target.operator))
+    credentials = own_credentials(hub, target.swarm, target.operator)
+    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
     try:
         bus.wait_connected(CONNECT_S if within_s is None else within_s)
+        renew_later(bus, runtime, keys, credentials)
         yield Session(NamedBus(bus, OPERATOR), keys, runtime, hub, target.operator)
     finally:
         bus.close()

@@ -25,6 +25,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from fullswarm.bus.base import OPERATOR, NamedBus
+from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import DEFAULT_HUB
@@ -220,6 +221,7 @@ class Client:
         credentials = own_credentials(self.hub, self.keys.swarm, self.name)
         self._bus = ZenohBus(runtime.mailbox, hub=self.hub, credentials=credentials)
         bus = NamedBus(self._bus, OPERATOR)
+        renew_later(bus, runtime, self.keys, credentials)
         self._runtime = runtime
         self._operator = Operator(bus, self.keys, runtime, self.source, name=self.name, clock=clock_id())
         self._view = FleetView(bus, self.keys, runtime)

@@ -28,6 +28,7 @@ from fullswarm.messages import (
     RobotStates,
     Summary,
 )
+from fullswarm.recent import Names, Recent
 from fullswarm.runtime import Scheduler
 
 SILENT_S = 1.0
@@ -42,6 +43,8 @@ ASK_S = 0.5
 MEMORY_S = 3.0
 """What a control law remembers, and what it asks of actuators, is reported each second; older: it has ended."""
 
+STRANGERS, MOST_NODES, MOST_METRICS = 1000, 64, 256
+"""Robots that are not expected, hosts, processes with a heartbeat, and metrics that are kept at most."""
 PROCESSES_S = 3.0
 """A supervisor reports twice a second; an older report says nothing of now."""
 
@@ -172,6 +175,8 @@ class Snapshot:
 class FleetView:
     """Collects what the swarm publishes. Ages count from arrival, on this side's clock.
 
+    A robot that is not expected is forgotten when it has been silent for long; see :class:`~fullswarm.recent.Names`.
+
     Attributes
     ----------
     states_received : messages with states so far
@@ -187,7 +192,10 @@ class FleetView:
         self._memories: dict[str, tuple[float, dict[str, RobotMemory]]] = {}  # by host
         self._actuators: dict[str, tuple[float, dict[str, dict[str, str]]]] = {}  # by host
         self._nodes: dict[str, tuple[float, Heartbeat]] = {}
-        self._summaries: dict[str, Summary] = {}
+        self._summaries: Recent[str, Summary] = Recent(MOST_METRICS)
+        self._robots = Names(STRANGERS, self._forget_robot, self._expected)
+        self._hosts = Names(STRANGERS, self._forget_host)
+        self._node_names = Names(MOST_NODES, self._forget_node)
         self._request: RequestStatus | None = None
         self._leases: tuple[float, tuple[Lease, ...]] = (-math.inf, ())
         self._processes: dict[str, tuple[float, ProcessReport]] = {}  # by host
@@ -209,6 +217,8 @@ class FleetView:
 
     def _ask(self) -> None:
         """Ask for profiles that have not been received: their agents send them seldom otherwise."""
+        for names in (self._robots, self._hosts, self._node_names):
+            names.sweep(self._scheduler.now_s())
         if not self._asked or not self._profiles.keys() >= self._health.keys():
             self._asked = True
             self._bus.publish(self._keys.profile_query, ProfileQuery(source="operator"))
@@ -252,6 +262,18 @@ class FleetView:
         for subscription in self._subscriptions:
             subscription.close()
 
+    def _forget_robot(self, robot: str) -> None:
+        for table in (self._health, self._states, self._profiles):
+            table.pop(robot, None)
+
+    def _forget_host(self, host: str) -> None:
+        self._memories.pop(host, None)
+        self._actuators.pop(host, None)
+        self._processes.pop(host, None)
+
+    def _forget_node(self, node: str) -> None:
+        self._nodes.pop(node, None)
+
     def _row(self, robot: str, now_s: float) -> RobotRow:
         state_s, (x_m, y_m, heading_rad, speed_m_s, radius_m) = self._states.get(robot, (-math.inf, _NO_STATE))
         health_s, health, report = self._health.get(robot, (-math.inf, None, None))
@@ -282,18 +304,24 @@ class FleetView:
         return found.get(robot, {}) if now_s - arrived_s <= MEMORY_S else {}
 
     def _on_profiles(self, message: RobotProfiles) -> None:
-        self._profiles |= {each.robot: each for each in message.robots}
+        now_s = self._scheduler.now_s()
+        self._profiles |= {each.robot: each for each in message.robots if self._robots.admit(each.robot, now_s)}
 
     def _on_memory(self, message: BehaviourMemory) -> None:
+        if not self._hosts.admit(message.host, self._scheduler.now_s()):
+            return
         self._memories[message.host] = self._scheduler.now_s(), {each.robot: each for each in message.robots}
 
     def _on_actuators(self, message: ActuatorReport) -> None:
+        if not self._hosts.admit(message.host, self._scheduler.now_s()):
+            return
         self._actuators[message.host] = self._scheduler.now_s(), {each.robot: each.values for each in message.robots}
 
     def _on_health(self, report: HealthReport) -> None:
         now_s = self._scheduler.now_s()
         for health in report.robots:
-            self._health[health.robot] = now_s, health, report
+            if self._robots.admit(health.robot, now_s):
+                self._health[health.robot] = now_s, health, report
 
     def _on_states(self, states: RobotStates) -> None:
         now_s = self._scheduler.now_s()
@@ -301,9 +329,12 @@ class FleetView:
         kinematics = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.radius_m)
         for robot, *state in zip(states.robots, *kinematics, strict=False):
             x_m, y_m, heading_rad, speed_m_s, radius_m = state
-            self._states[robot] = now_s, (x_m, y_m, heading_rad, speed_m_s, radius_m)
+            if self._robots.admit(robot, now_s):
+                self._states[robot] = now_s, (x_m, y_m, heading_rad, speed_m_s, radius_m)
 
     def _on_heartbeat(self, beat: Heartbeat) -> None:
+        if not self._node_names.admit(beat.node, self._scheduler.now_s()):
+            return
         self._nodes[beat.node] = self._scheduler.now_s(), beat
 
     def _on_summary(self, summary: Summary) -> None:
@@ -313,7 +344,8 @@ class FleetView:
         self._request = status
 
     def _on_processes(self, message: ProcessReport) -> None:
-        self._processes[message.host] = self._scheduler.now_s(), message
+        if self._hosts.admit(message.host, self._scheduler.now_s()):
+            self._processes[message.host] = self._scheduler.now_s(), message
 
     def _on_leases(self, message: Leases) -> None:
         self._leases = self._scheduler.now_s(), message.leases

@@ -18,12 +18,15 @@ from fullswarm.errors import ConfigError
 from fullswarm.files import replace_file
 from fullswarm.keys import Keys
 from fullswarm.messages import Summary
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 from fullswarm.units import unit_of
 
 FORMAT = "fullswarm.performance/1"
 WRITE_PERIOD_S = 1.0
 
+MOST_METRICS = 256
+"""Metrics kept; the newest count."""
 MAX_WAITING = 1000
 """Lines kept for ``summaries.jsonl`` while the disk refuses them."""
 
@@ -55,7 +58,7 @@ class PerformanceNode:
 
     def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, results: Path | None = None) -> None:
         self._swarm, self._results = keys.swarm, results
-        self._newest: dict[str, Summary] = {}
+        self._newest: Recent[str, Summary] = Recent(MOST_METRICS)
         self._lines: list[bytes] = []
         self._changed = False
         self._closed = False

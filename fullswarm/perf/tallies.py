@@ -20,6 +20,10 @@ from fullswarm.perf import shape
 from fullswarm.perf.coverage import Bounds, GridFrame, count_bits, unpack_bits
 from fullswarm.perf.metrics import COLUMNS, METRICS, SHAPE, Metric, Restart, Rule
 from fullswarm.perf.termination import Progress
+from fullswarm.recent import Recent
+
+HOSTS, STRANGERS = 10_000, 1000
+"""Hosts at most, and robots that are not of the fleet file: other processes choose their names."""
 
 Values = dict[str, float]
 M = TypeVar("M", bound=Message)
@@ -71,18 +75,18 @@ class CoverageTally:
         self._frame: GridFrame | None = None
         self._union: NDArray[np.uint8] = np.zeros(0, np.uint8)  # packed, eight cells to a byte
         self._covered = 0
-        self._newest: dict[str, bytes] = {}  # host → grid as received, to skip what is known
-        self._area_m2: Values = {}
-        self._refused_hosts: set[str] = set()
+        self._newest: Recent[str, bytes] = Recent(HOSTS)  # host → grid as received, to skip what is known
+        self._area_m2: Recent[str, float] = Recent(HOSTS)  # by robot
+        self._refused_hosts: Recent[str, None] = Recent(HOSTS)
 
     def add(self, message: CoverageMeasurement) -> None:
         """Join one host's grid to the swarm's."""
         try:
             self._join(message)
         except MessageError:
-            self._refused_hosts.add(message.host)
+            self._refused_hosts[message.host] = None
             raise
-        self._refused_hosts.discard(message.host)
+        self._refused_hosts.pop(message.host, None)
 
     def progress(self, elapsed_s: float) -> Progress:
         """Return the time and the fraction covered."""
@@ -177,6 +181,7 @@ class RobotTally:
             Columns of different length, or a counter that is negative or infinite.
         """
         robots, columns = message.robots, message.columns
+        self._refuse_strangers(message)
         if any(len(column) != len(robots) for column in columns.values()):
             raise MessageError("columns that are no measurement", where=message.host)
         for name in COUNTERS:
@@ -190,6 +195,18 @@ class RobotTally:
             self._touched = bool(self._touched) or any(count > 0.0 for count in columns["events"])
         if "arrival" in self._metrics:
             self._add_tasks(message)
+
+    def _refuse_strangers(self, message: RobotMeasurement) -> None:
+        """Raise for a host or robots for which there is no room: invented names must not fill the memory."""
+        before = self._newest.get(message.host)
+        if before is not None and before.robots == message.robots:
+            return
+        if before is None and len(self._newest) >= HOSTS:
+            raise MessageError(f"more than {HOSTS} hosts", where=message.host)
+        others = (each.robots for host, each in self._newest.items() if host != message.host)
+        names = set(message.robots).union(*others)
+        if len(names) > STRANGERS and len(names - self._expected) > STRANGERS:
+            raise MessageError(f"more than {STRANGERS} robots that are not of the fleet file", where=message.host)
 
     def _add_tasks(self, message: RobotMeasurement) -> None:
         robots, columns = message.robots, message.columns
@@ -248,7 +265,10 @@ class RobotTally:
             names, counted = _values_of(gone, name)
             kept = self._kept.setdefault(name, {})
             before = np.array([kept.get(each, math.nan) for each in names])
-            kept.update(zip(names, _joined(column.restart, before, np.array(counted)).tolist(), strict=True))
+            joined = _joined(column.restart, before, np.array(counted)).tolist()
+            for each, value in zip(names, joined, strict=True):
+                if each in kept or each in self._expected or len(kept) < STRANGERS:
+                    kept[each] = value
 
     def _column(self, name: str, rows: dict[str, int], batches: list[list[RobotMeasurement]]) -> list[float]:
         """Return a value per robot, in `rows`, or per host; NaN where there is none.

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from fullswarm.agent.message_delay import MessageDelay
-from fullswarm.agent.orders.tasks import Task, Tasks
+from fullswarm.agent.orders.tasks import Task, Tasks, check, read_records_again
 from fullswarm.drivers.base import Hazard
+from fullswarm.errors import ConfigError
 from fullswarm.messages import ControlRequest, EStopReceipt, Halt, RobotHealth
 from tests.unit.agent_bench import TICK_S, Bench
 
@@ -244,6 +247,26 @@ def test_parameters_that_no_law_can_take_end_in_an_answer_not_in_the_agent(
     assert drive(bench, "sane")
 
 
+@pytest.fixture
+def odd_records(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Two laws have parameters that the records of no behaviour of ours name."""
+
+    @functools.cache
+    def tables() -> dict[str, dict[str, Any]]:
+        ways = {f"way_{kind}": {"law": "rendezvous", "parameters": {"way": {"type": kind}, "gain": {"type": "number"}}}
+                for kind in ("word", "number")}  # fmt: skip
+        kinds = {f"spots_{kind}": {"law": "move_to_goal", "parameters": {"spots": {"type": kind}}}
+                 for kind in ("point", "points")}  # fmt: skip
+        return ways | kinds
+
+    monkeypatch.setattr("fullswarm.agent.orders.tasks._tables", tables)
+    read_records_again()
+    yield
+    monkeypatch.undo()
+    read_records_again()
+
+
+@pytest.mark.usefixtures("odd_records")
 def test_robots_with_different_words_or_reach_are_not_thrown_together() -> None:
     tasks = make_tasks(3)
     for row, (word, reach) in enumerate([("left", 5.0), ("right", 5.0), ("left", 30.0)]):
@@ -255,6 +278,7 @@ def test_robots_with_different_words_or_reach_are_not_thrown_together() -> None:
     assert found == {(0,): ("left", 5.0), (1,): ("right", 5.0), (2,): ("left", 30.0)}
 
 
+@pytest.mark.usefixtures("odd_records")
 def test_one_robot_may_have_a_word_where_another_has_a_number() -> None:
     tasks = make_tasks(2)
     tasks.enable(0, Task(request("r0", "rendezvous", parameters={"way": 1.0}), 0.0))
@@ -262,6 +286,7 @@ def test_one_robot_may_have_a_word_where_another_has_a_number() -> None:
     assert sorted(group.rows.tolist() for group in tasks.groups()) == [[0], [1]]
 
 
+@pytest.mark.usefixtures("odd_records")
 def test_an_update_whose_value_has_another_shape_is_taken_or_refused() -> None:
     tasks = make_tasks(1)
     tasks.enable(0, Task(request("r0", "move_to_goal", parameters={"spots": [1.0, 2.0]}), 0.0))
@@ -282,3 +307,21 @@ def make_tasks(count: int) -> Tasks:
     import numpy as np
 
     return Tasks(count, 0.03, 2.0, np.full(count, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "why"),
+    [
+        ({"safety_margin_m": -5.0}, "safety_margin_m = -5"),
+        ({"safety_margin_m": -5}, "safety_margin_m = -5"),
+        ({"barrier_gain_per_s": 1e9}, "barrier_gain_per_s = 1e\\+09"),
+        ({"speed_limit_m_s": 50.0}, "no behaviour .* has such a parameter"),
+    ],
+)
+def test_a_robot_checks_the_parameters_itself(parameters: dict[str, Any], why: str) -> None:
+    request = ControlRequest(
+        request_id="q", robot="r1", behaviour="move_to_goal_bc", enable=True, law="move_to_goal", filtered=True,
+        parameters={"goal": [1.0, 1.0], **parameters}, core="c", sequence=1,
+    )  # fmt: skip
+    with pytest.raises(ConfigError, match=why):
+        check(request)

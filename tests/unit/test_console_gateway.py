@@ -51,8 +51,9 @@ def test_a_console_without_a_core_reports_it_and_catches_up() -> None:
     assert page.frames[0]["arena"] is None
     assert page.last("fleet")["core_age_s"] is None
     bench.core = True
-    bench.beat()
-    bench.run(0.5)
+    for _ in range(5):  # it is asked ever more seldom while it is silent
+        bench.beat()
+        bench.run(0.3)
     assert page.last("world")["arena"] == [0.0, 0.0, 10.0, 8.0]
     assert page.last("fleet")["core_age_s"] < 1.0
     assert page.log("link") == ["the core is running"]
@@ -320,4 +321,4 @@ def test_trails_are_kept_for_a_minute(bench: ConsoleBench) -> None:
     assert trail[-1] == [10.0, 10.0]
     bench.run(70.0)
     late, _ = bench.join("session-2")
-    assert late.frames[0]["history"]["trails"]["r1"] == []
+    assert not late.frames[0]["history"]["trails"].get("r1")

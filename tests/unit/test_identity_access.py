@@ -73,13 +73,23 @@ def test_only_people_and_the_core_stop_robots_and_no_robot_commands_another() ->
     assert rights["estop"] == {"operator", "console", "core"}
     assert rights["robot/<robot>/command"] == rights["lease/holders"] == {"core"}
     assert rights["params/*/request"] == rights["lease/request"] == {"operator", "console"}
-    assert not any("observer" in roles or "hub" in roles for roles in rights.values())
+    assert not any("hub" in roles for roles in rights.values())
+    assert [key for key, roles in rights.items() if "observer" in roles] == ["identity/<name>/renew"]
 
 
 def test_each_certificate_is_a_subject_and_no_other_is() -> None:
     grants = (Grant("r1.1", "r1", "robot"), Grant("r1.2", "r1", "robot"), Grant("cam.1", "cam", "source"))
     made = rules("test", grants)
     assert made["default_permission"] == "deny"
+    listed = made["rules"]
+    assert isinstance(listed, list)
+    keys = {each["id"]: each["key_exprs"] for each in listed}
+    for name in ("r1.1", "r1.2", "cam.1"):
+        assert keys[f"{name}-subscribe"] == keys[f"{name}-receive"]
+        assert not any("**" in key for rule in ("publish", "receive") for key in keys[f"{name}-{rule}"])
+    assert {each["id"] for each in listed if "put" in each["messages"]} == {
+        f"{name}-{rule}" for name in ("r1.1", "r1.2", "cam.1") for rule in ("publish", "receive")
+    }
     assert made["subjects"] == [{"id": each, "cert_common_names": [each]} for each in ("r1.1", "r1.2", "cam.1")]
 
 
@@ -135,6 +145,7 @@ def test_each_key_is_published_and_received_by_those_who_may_and_no_others(secur
                 for sender in (name, "core" if name != "core" else "r1", "r2" if name != "r2" else "anna"):
                     key = f"test/{sender}/{rest}"
                     session.put(key, name, congestion_control=zenoh.CongestionControl.BLOCK)
+                    session.delete(key, congestion_control=zenoh.CongestionControl.BLOCK)  # never passed on
                     if sender == name and allowed(topic.publish, name, chunk):
                         others = (each for each in NAMES if each != name)
                         expected |= {(each, key, name) for each in others if allowed(topic.receive, each, chunk)}
@@ -148,6 +159,32 @@ def test_each_key_is_published_and_received_by_those_who_may_and_no_others(secur
     assert got == expected
     assert {receiver for receiver, _, _ in got} == set(NAMES)
     assert {publisher for _, _, publisher in got} == set(NAMES) - {"eve"}
+
+
+def test_nobody_queries_answers_or_watches_anything_else(secured: SecuredHub) -> None:
+    seen: list[str] = []
+
+    def reply(query: zenoh.Query) -> None:
+        query.reply("test/core/heartbeat/core", b"x")
+
+    def watched(sample: zenoh.Sample) -> None:
+        seen.append(str(sample.key_expr))
+
+    answer = zenoh.handlers.Callback(reply, indirect=False)
+    watch = zenoh.handlers.Callback(watched, indirect=False)
+    with secured.session("core") as core, secured.session("r1") as robot, secured.session("anna") as anna:
+        for session in (core, robot):
+            session.declare_queryable("test/**", answer)
+            session.liveliness().declare_token("test/core/alive")
+        anna.liveliness().declare_subscriber("**", watch, history=True)
+        assert _admitted(robot)
+        assert _admitted(anna)
+        for key in ("test/**", "**", "test/core/heartbeat/core"):
+            assert not list(anna.get(key, timeout=0.5)), key
+            assert not list(anna.liveliness().get(key, timeout=0.5)), key
+        own = f"@/{anna.zid()}/"
+        assert all(str(each.ok.key_expr).startswith(own) for each in anna.get("@/**", timeout=0.5) if each.ok)
+    assert not seen
 
 
 def _admitted(session: zenoh.Session) -> bool:

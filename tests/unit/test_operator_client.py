@@ -274,7 +274,9 @@ def test_a_question_is_repeated_until_answered_once(swarm: Swarm) -> None:
     client = ParamClient(swarm.bus, swarm.keys, swarm.runtime, "me")
     client.ask("get", "agent/*", replies.append)
     swarm.runtime.run(2.0)
-    assert asked == [0.0, 0.2, 0.4]
+    assert asked[:1] == [0.0]
+    assert 0.2 <= asked[1] <= 0.25
+    assert 0.4 <= asked[2] - asked[1] <= 0.5
     assert [reply.ok for reply in replies] == [True]
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.clock import MonotonicClock, SimClock
-from fullswarm.runtime import Mailbox, Runtime, RuntimeThread
+from fullswarm.runtime import ROOM, Lane, Mailbox, Runtime, RuntimeThread
 
 
 def test_simulated_timers_fire_on_an_absolute_grid_in_order() -> None:
@@ -271,3 +271,43 @@ def test_a_handler_that_fails_ends_its_thread_and_says_so() -> None:
     with pytest.raises(RuntimeError, match="ended"):
         thread.call(lambda: None)
     thread.close(lambda: None)
+
+
+def test_stops_and_orders_come_before_states_and_these_before_questions_each_in_its_order() -> None:
+    mailbox, seen = Mailbox(), list[str]()
+    sent = [
+        (Lane.READS, "read 1"), (Lane.STATES, "state 1"), (Lane.ORDERS, "request"), (Lane.READS, "read 2"),
+        (Lane.ORDERS, "stop"), (Lane.STATES, "state 2"),
+    ]  # fmt: skip
+    for lane, text in sent:
+        mailbox.put_into(lane, seen.append, text, seen.append, always=text == "stop")
+    mailbox.put(seen.append, "local")
+    assert mailbox.drain() == 7
+    assert seen == ["local", "request", "stop", "state 1", "state 2", "read 1", "read 2"]
+
+
+@pytest.mark.parametrize("lane", [Lane.STATES, Lane.READS])
+def test_a_full_lane_drops_its_oldest_and_counts_it(lane: Lane) -> None:
+    mailbox, seen, lost = Mailbox(), list[int](), list[int]()
+    for number in range(ROOM[lane] + 5):
+        mailbox.put_into(lane, seen.append, number, lost.append)
+    assert lost == [0, 1, 2, 3, 4]
+    assert mailbox.dropped == {lane.name.lower(): 5}
+    assert mailbox.drain() == ROOM[lane]
+    assert seen == list(range(5, ROOM[lane] + 5))
+    assert mailbox.run_now(seen.append, 1) is False  # the runtime is not waiting
+    mailbox.put_into(lane, seen.append, 9, lost.append)
+    assert mailbox.deliver_one(0.0)
+    assert not mailbox.deliver_one(0.0)
+
+
+def test_orders_beyond_the_room_are_dropped_but_no_stop_is() -> None:
+    mailbox, seen, lost = Mailbox(), list[object](), list[object]()
+    for number in range(ROOM[Lane.ORDERS]):
+        mailbox.put_into(Lane.ORDERS, seen.append, number, lost.append)
+    mailbox.put_into(Lane.ORDERS, seen.append, "late", lost.append)
+    mailbox.put_into(Lane.ORDERS, seen.append, "stop", lost.append, always=True)
+    assert lost == ["late"]
+    mailbox.drain()
+    assert seen[-1] == "stop"
+    assert len(seen) == ROOM[Lane.ORDERS] + 1

@@ -17,6 +17,7 @@ from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.identity import Credentials
+from fullswarm.identity.access import ACCESS_KEY
 from fullswarm.keys import Keys
 from fullswarm.messages import (
     BehaviourRequest,
@@ -146,6 +147,55 @@ def test_what_a_sender_may_not_say_arrives_nowhere(secured: SecuredHub) -> None:
         bus.close()
 
 
+def test_what_others_have_sent_cannot_be_sent_again_by_who_recorded_it(secured: SecuredHub) -> None:
+    originals: list[tuple[str, str, Message]] = [
+        ("anna", KEYS.estop, EStop(id="once", engaged=False)),
+        ("anna", KEYS.behaviour_request, request("anna@lab1")),
+        ("core", KEYS.command("r2"), command("r2")),
+    ]
+    core = Receiver(secured, "core", (KEYS.estop, EStop), (KEYS.behaviour_request, BehaviourRequest))
+    r2 = Receiver(secured, "r2", (KEYS.estop, EStop), (KEYS.command("r2"), Command))
+    senders = {"anna": secured.bus("anna"), "core": secured.bus("core")}
+    recorded: list[tuple[str, bytes]] = []
+    with secured.session("eve") as eve, secured.session("r1") as robot, secured.session("camera") as camera:
+
+        def keep(sample: zenoh.Sample) -> None:
+            recorded.append((str(sample.key_expr), sample.payload.to_bytes()))
+
+        record = zenoh.handlers.Callback(keep, indirect=False)
+        for key in ("estop", "behaviour/request", "robot/*/command"):
+            eve.declare_subscriber(f"test/*/{key}", record, allowed_origin=zenoh.Locality.REMOTE)
+        for bus in senders.values():
+            bus.wait_connected(DEADLINE_S)
+
+        def settle() -> None:
+            senders["anna"].publish(KEYS.estop, EStop(id="settle", engaged=False))
+            senders["anna"].publish(KEYS.behaviour_request, request("anna"))
+            senders["core"].publish(KEYS.command("r2"), command("r1"))  # refused by r2, recorded by eve
+
+        core.until(
+            lambda: len({type(each) for each in core.got}) == 2 and len({key for key, _ in recorded}) == 3, settle
+        )
+        r2.until(lambda: bool(r2.got) and r2.bus.dropped > 0, settle)
+        for name, key, message in originals:
+            senders[name].publish(key, message)
+        core.until(lambda: all(message in core.got for _, _, message in originals[:2]))
+        r2.until(lambda: all(message in r2.got for _, _, message in originals[::2]))
+        r2.until(lambda: {encode(message) for _, _, message in originals} <= {payload for _, payload in recorded})
+        for name, session in (("eve", eve), ("r1", robot), ("camera", camera)):
+            for key, payload in set(recorded):
+                for again in (key, "/".join(("test", name, *key.split("/")[2:]))):
+                    session.put(again, payload, congestion_control=BLOCK)
+            assert list(session.get(ACCESS_KEY, timeout=1.0))  # the hub has seen all that was before it on the link
+        last = EStop(id="last", engaged=False)
+        senders["anna"].publish(KEYS.estop, last)
+        for receiver in (core, r2):
+            receiver.until(lambda: last in receiver.got)  # noqa: B023
+            assert all(receiver.got.count(message) <= 1 for _, _, message in originals)
+    for bus in (*senders.values(), core.bus, r2.bus):
+        bus.close()
+
+
 def test_a_message_that_does_not_fit_its_sender_is_counted_and_logged_once(
     secured: SecuredHub, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -237,6 +287,20 @@ def test_a_hub_under_another_name_is_not_trusted(tmp_path: Path) -> None:
         assert "the hub's certificate is not for '127.0.0.1'" in refused(hub.endpoint, robot)
 
 
+def test_a_hub_whose_certificate_has_expired_is_not_trusted(tmp_path: Path) -> None:
+    authority = Authority(tmp_path)
+    robot = authority.issue("r1", "robot")
+    own = authority.issue("hub", "hub", ends=-dt.timedelta(minutes=1))
+    with Hub(f"tls/127.0.0.1:{free_port()}", credentials=own, swarm="test", grants=(grant_of(robot),)) as hub:
+        assert "the hub's certificate has expired" in refused(hub.endpoint, robot)
+
+
+def test_a_robots_certificate_does_not_make_a_hub(secured: SecuredHub) -> None:
+    r1, r2 = secured.identities["r1"], secured.identities["r2"]
+    with Hub(f"tls/127.0.0.1:{free_port()}", credentials=r2, swarm="test", grants=secured.grants()) as hub:
+        assert "the hub's certificate is" in refused(hub.endpoint, r1)
+
+
 def test_a_program_at_the_port_that_is_no_secured_hub_is_named(tmp_path: Path) -> None:
     robot = Authority(tmp_path).issue("r1", "robot")
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -282,10 +346,12 @@ def test_a_revoked_certificate_ends_and_all_others_come_back(tmp_path: Path) -> 
                 bus.publish(KEYS.reception(name), Reception(host=name, robots=(name,), x_m=(0.0,), y_m=(0.0,)))
 
         core.until(lambda: len(hosts(core.got)) == 2, publish)
-        secured.hub.reopen(secured.grants("r2"))
+        secured.hub.reopen(secured.grants("r2"))  # it closes every link: what r2 sent before is in the mailbox by then
+        while core.mailbox.deliver_one(0.0):
+            pass
         core.got.clear()
         core.until(lambda: len(core.got) > 20 and core.bus.connected(), publish)
-        assert hosts(core.got[5:]) == {"r1"}
+        assert hosts(core.got) == {"r1"}
         assert not robots["r2"].connected()
         with pytest.raises(Unreachable, match="it was revoked"):
             robots["r2"].wait_connected(REFUSED_S)
@@ -297,6 +363,22 @@ def test_a_revoked_certificate_ends_and_all_others_come_back(tmp_path: Path) -> 
 
 def hosts(messages: list[Message]) -> set[str]:
     return {each.host for each in messages if isinstance(each, Reception)}
+
+
+def test_a_certificate_that_was_renewed_on_disk_is_used_when_the_old_one_ends(tmp_path: Path) -> None:
+    secured = SecuredHub(tmp_path)
+    short = secured.authority.issue("r1", "robot", ends=dt.timedelta(seconds=3))
+    with secured.hub:
+        bus = ZenohBus(Mailbox(), hub=secured.hub.endpoint, credentials=short)
+        bus.wait_connected(DEADLINE_S)
+        secured.authority.issue("r1", "robot")  # the same files
+        pause, end_s, downs = threading.Event(), time.monotonic() + 4.0, 0
+        while time.monotonic() < end_s:
+            downs += not bus.connected()
+            pause.wait(0.01)
+        assert downs, "the link with the old certificate never ended"
+        bus.wait_connected(DEADLINE_S)
+        bus.close()
 
 
 def test_a_certificate_that_expires_ends_its_link(tmp_path: Path) -> None:

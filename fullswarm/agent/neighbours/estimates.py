@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import Generic, NamedTuple, TypeVar
@@ -14,6 +14,7 @@ from fullswarm.bus.base import Bus, Subscription
 from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, cells_within
 from fullswarm.messages import Message, RobotStates
+from fullswarm.recent import Names, Recent
 
 M = TypeVar("M", bound=Message)
 
@@ -21,6 +22,9 @@ Peers = Mapping[int, frozenset[str]]
 NO_PEERS: Peers = MappingProxyType({})
 
 MANY_CELLS = 64
+STRANGERS = 256
+"""Robots that are not of the fleet file, at most; see :class:`~fullswarm.recent.Names`."""
+MOST_HOSTS = 10_000
 
 SILENT_S = 0.3
 """A robot that was silent for so long may have left the subscribed cells."""
@@ -116,13 +120,18 @@ class Neighbours:
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :class:`Predicted`. A robot that
         fell silent stays in them until it is received again or its cell is not subscribed
     silent : how many of those there are
-    names : (m,) ids of the robots
+    names : (m,) ids of the robots; one that is not of the fleet file is forgotten when it has been silent for long,
+        and its row is given to another one
+    on_forget : called with the row of a robot that is forgotten
     now_s : time of the last `set_time`
     ids : (n,) ids of the own robots
+    listed : robots of the fleet file; None: all count as such
     own_frame_host, own_frame_s : the host that last sent poses in a frame of its own, and when they were received
     """
 
-    def __init__(self, ids: tuple[str, ...], timeout_s: float, assumed: Assumed = UNMOVED) -> None:
+    def __init__(
+        self, ids: tuple[str, ...], timeout_s: float, assumed: Assumed = UNMOVED, listed: Collection[str] | None = None
+    ) -> None:
         self.ids, self._assumed = ids, assumed
         self._alone = ids if len(ids) == 1 else None
         self._timeout_s = timeout_s
@@ -131,7 +140,11 @@ class Neighbours:
         self._place: Index | slice = slice(0, 0)  # the rows of the batch, as a slice where they are one
         self._aimed = False  # some of the batch's rows hold an aim
         self._kept: object = None  # what seldom changes, while the batch's rows hold it
-        self._newest: dict[str, tuple[int, float, float]] = {}  # by host: sequence, its clock, ours
+        self._newest: Recent[str, tuple[int, float, float]] = Recent(MOST_HOSTS)  # by host: sequence, its clock, ours
+        self._strangers = None if listed is None else Names(STRANGERS, self._forget_stranger, (*listed, *ids))
+        self._all_listed: tuple[str, ...] = ()  # robots of one message that all are of the fleet file
+        self._free: list[int] = []  # rows of robots that are forgotten
+        self.on_forget: list[Callable[[int], None]] = []
         self.now_s, self._stale = 0.0, True
         self.count = 0
         self.names: list[str] = []
@@ -170,7 +183,7 @@ class Neighbours:
         older = newest and states.sequence < newest[0] and states.stamp_s <= newest[1]
         if newest and older and now_s - newest[2] < ANEW_S:
             return
-        if not states.robots or not _fits(states):
+        if not states.robots or not _fits(states) or not self._admit(states.robots, now_s):
             return
         self._newest[states.host] = (states.sequence, states.stamp_s, now_s)
         if states.own_frame:
@@ -218,6 +231,31 @@ class Neighbours:
         self.arrival_s[rows] = now_s
         self.sigma[rows] = sigma.T
         self.delay_s[rows] = self.delay_of(states, now_s)
+
+    def _admit(self, robots: tuple[str, ...], now_s: float) -> bool:
+        """Tell whether there is room for all these robots; those of the fleet file always have some."""
+        strangers = self._strangers
+        if strangers is None:
+            return True
+        if len(robots) == 1:
+            return strangers.admit(robots[0], now_s)
+        if robots is self._all_listed or robots == self._all_listed:
+            return True
+        if strangers.listed.issuperset(robots):
+            self._all_listed = robots
+            return True
+        admitted = [strangers.admit(robot, now_s) for robot in robots]
+        return all(admitted)
+
+    def _forget_stranger(self, robot: str) -> None:
+        """Give up the row of a robot that is not of the fleet file and has been silent for long."""
+        row = self._row_of.pop(robot, None)
+        if row is not None:
+            self.arrival_s[row] = -math.inf
+            self._free.append(row)
+            self._batch, self._kept = None, None
+            for callback in self.on_forget:
+                callback(row)
 
     def receive_relayed(self, states: RobotStates, age_s: float, now_s: float) -> None:
         """Take in states that came through the core, measured at least `age_s` ago, unless newer ones are known."""
@@ -304,6 +342,8 @@ class Neighbours:
         ----------
         listened : whether all of a disc (x, y, radius in m) is listened to: ``CellSubscriptions.covers``
         """
+        if self._strangers is not None:
+            self._strangers.sweep(now_s)
         ages_s = now_s - self.arrival_s[: self.count]
         for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
             x_m, y_m, _, speed_m_s, _, _ = self.states[row].tolist()
@@ -424,6 +464,9 @@ class Neighbours:
             return self._batch[1]
         for robot in robots:
             if robot not in self._row_of:
+                if self._free:
+                    self._reuse(self._free.pop(), robot)
+                    continue
                 self._row_of[robot] = self.count
                 self.names.append(robot)
                 self.count += 1
@@ -437,6 +480,14 @@ class Neighbours:
             self._batch, self._kept = (robots, rows), None
             self._place = slice(int(rows[0]), int(rows[-1]) + 1) if (np.diff(rows) == 1).all() else rows
         return rows
+
+    def _reuse(self, row: int, robot: str) -> None:
+        """Give the row of a forgotten robot to another one; nothing of the first may be left in it."""
+        self._row_of[robot] = row
+        self.names[row] = robot
+        self.limits[row], self._confined[row], self.aims[row] = math.nan, math.nan, math.nan
+        self.teams[row], self.sigma[row], self.delay_s[row] = 0, 0.0, 0.0
+        self._rank = np.zeros(0, np.int64)
 
     def _grow(self, count: int) -> None:
         if count > len(self.states):

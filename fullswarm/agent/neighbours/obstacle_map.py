@@ -1,12 +1,14 @@
 """Keeps the static obstacles that robots know: from the given map, from their own sensors, from other robots.
 
 An obstacle is a row of six numbers as in ``Reading.obstacles``. It is known once it was seen within the sensing radius
-and is never forgotten: the arena is taken for static.
+and is never forgotten: the arena is taken for static. Only what hosts tell that are not of the fleet file is forgotten,
+with them.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +19,13 @@ from fullswarm.config import SwarmConfig
 from fullswarm.kernels import Array, kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import SeenObstacles
+from fullswarm.recent import Names
+from fullswarm.runtime import Scheduler
 
 GIVEN, SHARED, OWN = "given", "shared", "own"
 SHARE_PERIOD_S = 2.0
+STRANGERS, MOST_TOLD = 64, 64
+"""Hosts that are not of the fleet file, and obstacles of each, at most."""
 MOST = 1000
 """Obstacles kept at most: a sender on the bus must not fill a robot's memory."""
 
@@ -51,6 +57,7 @@ class ObstacleMap:
         self._seen = np.zeros((count, 16), bool)
         self._last: Array | None = None
         self._known: dict[tuple[str, int], Array] = {}
+        self._told: dict[str, Array] = {}
 
     def add_sensed(self, position: Array, obstacles: Array, reach_m: float) -> int:
         """Take in what the robots sense now, (k, 6) of all of them together; return how much of it is new."""
@@ -70,10 +77,22 @@ class ObstacleMap:
     def add_shared(self, obstacles: Array) -> None:
         """Take in what others have seen, (k, 6); rows that are no boxes are left out."""
         before = len(self._index)
-        sound = np.isfinite(obstacles).all(axis=1) & (obstacles[:, 2:4] >= 0.0).all(axis=1) & (obstacles[:, 5] >= 0.0)
+        sound = _sound(obstacles)
         for row in obstacles[sound]:
             self._add(row)
         if len(self._index) != before:
+            self._known.clear()
+
+    def add_told(self, host: str, obstacles: Array) -> None:
+        """Take in what a host that is not of the fleet file has seen, (k, 6), in place of what it told before."""
+        rows, before = obstacles[_sound(obstacles)][:MOST_TOLD], self._told.get(host)
+        if before is None or not np.array_equal(rows, before):
+            self._told[host] = rows
+            self._known.clear()
+
+    def forget_told(self, host: str) -> None:
+        """Forget what such a host has told."""
+        if self._told.pop(host, None) is not None:
             self._known.clear()
 
     def known(self, row: int, source: str) -> Array:
@@ -84,7 +103,9 @@ class ObstacleMap:
         found = self._known.get(key)
         if found is None:
             rows = self._rows[: len(self._index)]
-            found = self._known[key] = rows[self._seen[row, : len(rows)]] if source == OWN else rows.copy()
+            own = source == OWN
+            found = rows[self._seen[row, : len(rows)]] if own else np.concatenate([rows, *self._told.values()])
+            self._known[key] = found
         return found
 
     def _add(self, row: Array) -> None:
@@ -98,6 +119,12 @@ class ObstacleMap:
         self._rows[place] = row
 
 
+def _sound(obstacles: Array) -> NDArray[np.bool_]:
+    """Tell which rows are boxes."""
+    sizes = np.column_stack([obstacles[:, 2:4], obstacles[:, 5]])
+    return np.asarray(np.isfinite(obstacles).all(axis=1) & (sizes >= 0.0).all(axis=1), np.bool_)
+
+
 def map_of(config: SwarmConfig) -> Array:
     """Return the map that the fleet file gives, (k, 6): its boxes; the arena's edge is known anyway."""
     boxes = config.world.boxes if config.world else ()
@@ -108,13 +135,18 @@ def map_of(config: SwarmConfig) -> Array:
 class ObstacleSharing:
     """Publishes the obstacles that these robots have sensed, and adds those of other robots to their map."""
 
-    def __init__(self, bus: Bus, keys: Keys, host: str, obstacle_map: ObstacleMap) -> None:
-        self._bus, self._keys, self._host, self._map = bus, keys, host, obstacle_map
+    def __init__(
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, obstacle_map: ObstacleMap,
+        listed: Collection[str] = (),
+    ) -> None:  # fmt: skip
+        self._bus, self._keys, self._scheduler, self._host, self._map = bus, keys, scheduler, host, obstacle_map
+        self._names = Names(STRANGERS, obstacle_map.forget_told, listed)
         self._share_at_s = -math.inf
         self._subscription = bus.subscribe(keys.obstacles(), SeenObstacles, self._on_obstacles, latest=True)
 
     def add_sensed(self, now_s: float, position: Array, obstacles: Array, reach_m: float) -> None:
         """Add what the robots sense now; publish when something is new or it is time."""
+        self._names.sweep(now_s)
         if not len(obstacles):
             return
         new = self._map.add_sensed(position, obstacles, reach_m)
@@ -125,8 +157,13 @@ class ObstacleSharing:
             self._bus.publish(self._keys.obstacles(self._host), message)
 
     def _on_obstacles(self, seen: SeenObstacles) -> None:
-        if seen.host != self._host:
-            self._map.add_shared(np.array(seen.rows, float).reshape(-1, 6))
+        if seen.host == self._host or not self._names.admit(seen.host, self._scheduler.now_s()):
+            return
+        rows = np.array(seen.rows, float).reshape(-1, 6)
+        if seen.host in self._names.listed:
+            self._map.add_shared(rows)
+        else:
+            self._map.add_told(seen.host, rows)
 
     def close(self) -> None:
         """Drop the subscription."""

@@ -28,6 +28,8 @@ BATTERY_STEP = 0.02
 """By so much the charge must have changed to be a change."""
 LARGEST_SPEED, LARGEST_ACCEL = 1e4, 1e5
 """m/s and rad/s, m/s²: what a message can state; a driver may have no limits."""
+EARLY = 1000
+"""Profiles that are kept until the first state of their robot; the newest count."""
 REMEMBERED = 4096
 """Processes of other hosts: they choose their names, so their number must be bounded."""
 
@@ -41,6 +43,10 @@ class ProfileTable:
     def put(self, row: int, profile: RobotProfile) -> None:
         """Keep the profile of the robot in `row`."""
         self._of[row] = profile
+
+    def drop(self, row: int) -> None:
+        """Forget the robot in `row`."""
+        self._of.pop(row, None)
 
     def at(self, rows: Index) -> list[RobotProfile | None]:
         """Return the profiles of robots (e,); None: unknown."""
@@ -100,7 +106,8 @@ class Profiles:
         self._cell_m, self._state, self._neighbours, self.own = cell_m, state, neighbours, own
         self._reach_m = reach_m
         self.table = ProfileTable()
-        self._waiting: dict[str, RobotProfile] = {}  # of robots whose states have not been received yet
+        neighbours.on_forget.append(self.table.drop)
+        self._waiting: Recent[str, RobotProfile] = Recent(EARLY)  # of robots whose states have not been received yet
         self._processes: Recent[str, str] = Recent(REMEMBERED)  # host → its process
         self._subscriptions = CellSubscriptions(bus, keys.profile, RobotProfiles, cell_m, self._on_profiles)
         self._query = bus.subscribe(keys.profile_query, ProfileQuery, self._on_query)
@@ -159,7 +166,7 @@ class Profiles:
             row = self._neighbours.row_of(profile.robot)
             if row >= 0:
                 self.table.put(row, profile)
-            elif len(self._waiting) < REMEMBERED:
+            else:
                 self._waiting[profile.robot] = profile
 
     def _on_query(self, _: ProfileQuery) -> None:

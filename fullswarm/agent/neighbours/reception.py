@@ -16,6 +16,8 @@ PERIOD_S = 0.5
 MISSED = 5.0
 """A host is not received any more after so many of its state messages did not arrive: by chance, seldom."""
 LEAST_S = 0.25
+MOST_HOSTS = 1000
+"""Hosts that are reported at most."""
 
 
 class ReceptionReporter:
@@ -43,7 +45,8 @@ class ReceptionReporter:
 
     def note(self, states: RobotStates, now_s: float) -> None:
         """Take note that `states` came directly."""
-        self._direct_s[states.host] = now_s
+        if states.host in self._direct_s or len(self._direct_s) < MOST_HOSTS:
+            self._direct_s[states.host] = now_s
 
     def update(self) -> None:
         """Report when it is time, and when a host is new or no longer received; to be called each 0.1 s."""

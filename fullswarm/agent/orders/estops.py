@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import structlog
 
 from fullswarm.agent.state import AgentState
@@ -22,8 +23,11 @@ from fullswarm.files import MACHINE_DISK, Disk
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import EStop, EStopReceipt, Halt
+from fullswarm.recent import Recent
 
 REMEMBERED = 256
+CLOCKS = 64
+"""Clocks of which the newest stamp is remembered."""
 SETTLE_TIMEOUT_S = 5.0
 """A robot that still moves so long after an e-stop is reported as not at standstill, and still watched."""
 TICKS = 2.0
@@ -85,6 +89,7 @@ class EStops:
         # The receipts that still hold, by row; an order that a newer one has overruled has none.
         self._orders: OrderedDict[Key, dict[int, EStopReceipt]] = OrderedDict()
         self._decelerating: dict[tuple[int, Key], Decelerating] = {}
+        self._engaged_s: Recent[str, Array] = Recent(CLOCKS)  # by clock: stamp of the newest engaged order, (n,)
         self._folder: LatchFolder | None = None
 
     def remember(self, folder: LatchFolder) -> None:
@@ -102,6 +107,21 @@ class EStops:
         for receipt in receipts.values():
             self._publish(receipt)
         return True
+
+    def in_force(self, order: EStop, rows: Iterable[int]) -> list[int]:
+        """Return the robots that an order counts for: a release, not where a newer e-stop of its clock was received.
+
+        So a copy of a release that comes late, or that someone has kept, releases nothing.
+        """
+        rows = list(rows)
+        newest_s = self._engaged_s.get(order.clock)
+        if not order.engaged:
+            return rows if newest_s is None else [row for row in rows if order.stamp_s >= newest_s[row]]
+        if order.clock:
+            if newest_s is None:
+                newest_s = self._engaged_s[order.clock] = np.full(len(self._fleet.ids), -math.inf)
+            newest_s[rows] = np.maximum(newest_s[rows], order.stamp_s)
+        return rows
 
     def carry_out(self, order: EStop, rows: Iterable[int], now_s: float) -> None:
         """Latch or release the robots `rows`; confirm at once, an engaged one again at standstill.
@@ -155,6 +175,8 @@ class EStops:
         if self._folder is None:
             return
         for robot in robots:
+            if order.engaged and self._folder.kept(robot):
+                continue  # that the file is there is the latch
             if order.engaged:
                 self._folder.engage(robot, order)
             else:
@@ -204,6 +226,7 @@ class LatchFolder:
 
     def __init__(self, folder: Path, clock: str = "", disk: Disk = MACHINE_DISK) -> None:
         self._folder, self._clock, self._disk = folder, clock, disk
+        self._engaged: set[str] = set()  # robots whose latch this process has written
 
     def keep_halt(self, robot: str, halt: Halt) -> None:
         """Keep a stop. It does not wait for the disk: what it guards against is the end of the process."""
@@ -241,16 +264,22 @@ class LatchFolder:
             log.error("cannot tell whether its e-stop was latched: it is taken for so", robot=robot, error=str(error))
         return True
 
+    def kept(self, robot: str) -> bool:
+        """Tell whether the latch of `robot` is known to be on the disk."""
+        return robot in self._engaged and self.holds(robot)
+
     def engage(self, robot: str, order: EStop) -> None:
         """Write the file and wait for the disk: pulling the battery is what comes next after an e-stop."""
         text = {"id": order.id, "source": order.source, "reason": order.reason}
         try:
             self._disk.write(self._file(robot), msgspec.json.encode(text) + b"\n")
+            self._engaged.add(robot)
         except OSError as error:
             log.error("a restart of this agent would not know of the e-stop", robot=robot, error=str(error))
 
     def release(self, robot: str) -> None:
         """Take the file away."""
+        self._engaged.discard(robot)
         try:
             self._disk.remove(self._file(robot), sync=True)
         except OSError as error:

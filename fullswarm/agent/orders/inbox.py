@@ -35,6 +35,8 @@ from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
 REMEMBERED_STOPS = 256
+KEEP_S = 0.2
+"""Between two writes of stops."""
 SIMULATED = "sim"
 """Make of a robot whose driver is that of the simulated world; one that is emulated has the driver of its make."""
 
@@ -79,6 +81,7 @@ class Inbox:
         self._delays = [MessageDelay() for _ in ids]
         self._stops: Recent[str, None] = Recent(REMEMBERED_STOPS)
         self._folder: LatchFolder | None = None
+        self._unkept, self._kept_s = set[int](), -math.inf  # robots whose newest stop is not on disk
         self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller.speed_limit, wake)
         robot = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
@@ -263,7 +266,7 @@ class Inbox:
     def _on_estop(self, order: EStop) -> None:
         if self.estops.repeats(order):
             return
-        rows = self._addressed(order.robots)
+        rows = self.estops.in_force(order, self._addressed(order.robots))
         for row in rows:
             # Latching ends the behaviour, and so does the release: what was asked for before it, and refused, must
             # not be started by it. Releasing a robot that is not latched stops nothing.
@@ -302,17 +305,23 @@ class Inbox:
         self.halts[row] = halt
 
     def _keep_halts(self, rows: Iterable[int]) -> None:
-        """Keep the stops of these robots on disk; the wheels come first."""
-        folder = self._folder
+        """Keep the stops of these robots on disk; the wheels come first. A flood is written now and then."""
+        folder, now_s = self._folder, self._scheduler.now_s()
         if folder is None:
             return
+        self._unkept.update(rows)
+        if now_s - self._kept_s < KEEP_S:
+            return
+        rows, self._unkept, self._kept_s = self._unkept, set(), now_s
         for row in rows:
             halt = self.halts[row]
             if halt is not None:
                 folder.keep_halt(self._fleet.ids[row], halt)
 
     def watch_estops(self, now_s: float) -> None:
-        """Confirm the e-stops of robots that have come to a standstill."""
+        """Confirm the e-stops of robots that have come to a standstill, and keep stops that have not been kept yet."""
+        if self._unkept:
+            self._keep_halts(())
         self.estops.watch(now_s)
 
     def _addressed(self, robots: Iterable[str]) -> list[int]:

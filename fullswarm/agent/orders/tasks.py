@@ -24,19 +24,24 @@ from fullswarm.agent.messaging.declaration import RANGE, RATE, layout_of
 from fullswarm.agent.view import Params, Shared, View
 from fullswarm.config.models import EXPIRES_S, HEARING_M
 from fullswarm.config.parameter import FILTER, Parameter
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.kernels import Array, Index
 from fullswarm.messages import SAYS_HZ, ControlRequest, Value
 from fullswarm.parameters import column_width
+from fullswarm.recent import Recent
 
 CENTRALISED = ""
 """Law of a task that has none on board and follows Command messages."""
 
 HEARING = "hearing_m"
+TARGET = "target"
+"""What the core makes of a formation for each robot."""
 EXACT = (HEARING, RANGE, RATE)
 """Parameters that are the same for all robots of one call of a control law."""
 LINEAR = "linear"
 
+REMEMBERED = 10_000
+"""Robots and behaviours of which it is remembered how often they were started, for other random numbers each time."""
 ARRIVE_M = 0.1
 """A robot so near its goal has arrived, when neither the request nor the file says another radius."""
 
@@ -171,7 +176,7 @@ class Tasks:
     _apart: set[str] = field(init=False, default_factory=set)  # laws that are called once per request
     _remembered: dict[int, tuple[Any, int]] = field(init=False, default_factory=dict)  # robot → memory, its row there
     _generators: dict[int, np.random.Generator] = field(init=False, default_factory=dict)
-    _starts: dict[tuple[int, str], int] = field(init=False, default_factory=dict)
+    _starts: Recent[tuple[int, str], int] = field(init=False, default_factory=lambda: Recent(REMEMBERED))
     _held: set[str] = field(init=False, default_factory=set)  # laws under development, while they are exchanged
 
     def __post_init__(self) -> None:
@@ -429,19 +434,25 @@ def check(request: ControlRequest) -> None:
     Raises
     ------
     ConfigError
-        A parameter has another type than its record says or is out of range, or the request would never expire; says
-        which and what is wanted.
+        A parameter has another type than its record says, is out of range or in no record of the law, or the request
+        would never expire; says which and what is wanted.
     """
     low_s, high_s = EXPIRES_S
     if not math.isfinite(request.stamp_s):  # or an intent would never expire
         raise ConfigError(f"stamp_s = {request.stamp_s} is no time")
     if not low_s <= request.expires_s <= high_s:
         raise ConfigError(f"expires_s = {request.expires_s:g} is outside [{low_s:g}, {high_s:g}] s")
-    spans, allowed = _known(request.law)
+    spans, allowed, fixed = _known(request.law)
+    known = bool(allowed or fixed)  # else there is no record of this law here, and the law itself must know
     for name, value in request.parameters.items():
-        low, high = spans.get(name, (-GREATEST, GREATEST))
+        low, high = spans.get(name) or ((math.inf, -math.inf) if known else (-GREATEST, GREATEST))
         if type(value) is float and low <= value <= high:  # what a stick sends twenty times a second
             continue
+        if known and name not in spans and name not in fixed:
+            raise ConfigError(
+                f"the robot refuses {name}: no behaviour with the control law '{request.law}' has such a parameter",
+                hint=did_you_mean(name, (*spans, *fixed)),
+            )
         try:
             _fits(name, value, OWN.get(name), allowed.get(name, ()))
         except ValueError as error:
@@ -479,20 +490,32 @@ def _can_be(name: str, value: Value | list[float]) -> None:
 
 
 @functools.cache
-def _known(law: str) -> tuple[dict[str, tuple[float, float]], Allowed]:
-    """Return the ranges of each parameter in a law's records: floats that need no further check, and all."""
+def _known(law: str) -> tuple[dict[str, tuple[float, float]], Allowed, frozenset[str]]:
+    """Return the ranges of each parameter in a law's records, and what the core may add to them.
+
+    The ranges come twice: of floats that need no further check, and all. What is added: static values, a target.
+    """
     allowed: dict[str, tuple[Parameter, ...]] = {}
     for name, parameter in _parameters(law):
         if parameter not in allowed.get(name, ()):
             allowed[name] = (*allowed.get(name, ()), parameter)
     spans = {name: (max(low for low, _ in each), min(high for _, high in each)) for name, each in _spans(allowed)}
-    return spans, allowed
+    return spans, allowed, frozenset({*_static(law), TARGET} if allowed else _static(law))
 
 
 def _spans(allowed: Allowed) -> Iterator[tuple[str, list[tuple[float, float]]]]:
     for name in {**allowed, **OWN}:
         own = [OWN[name].span] if name in OWN else []
         yield name, [*own, *(each.span for each in allowed.get(name, ()))]
+
+
+def _static(law: str) -> Iterator[str]:
+    tables = _tables()
+    for record in tables.values():
+        if law and _inherited(tables, record, "law") == law:
+            for each in _lineage(tables, record):
+                for table in (each.get("static"), each.get("static_from")):
+                    yield from table if isinstance(table, dict) else ()
 
 
 def _parameters(law: str) -> Iterator[tuple[str, Parameter]]:

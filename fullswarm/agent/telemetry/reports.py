@@ -165,6 +165,7 @@ class Reports:
             late_ticks=loop.late,
             missed_ticks=loop.missed,
             worst_late_s=loop.worst_late_s,
+            dropped=dict(loop.dropped),
             wall_offset_s=clock.wall_offset_s,
             round_trip_s=clock.round_trip_s if math.isfinite(clock.round_trip_s) else -1.0,
             stamp_s=now_s,

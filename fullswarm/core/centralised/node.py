@@ -30,7 +30,7 @@ from fullswarm.messages import (
     Value,
 )
 from fullswarm.parameters import Params
-from fullswarm.recent import Recent
+from fullswarm.recent import Names, Recent
 from fullswarm.runtime import Scheduler
 
 NODE = "centralised"
@@ -40,6 +40,11 @@ STALE_S = 0.5
 """A robot whose state is older gets no command: it stops when its last one expires."""
 
 MEMORY = 1024
+LOG_S = 1.0
+MOST_JOBS = 256
+"""Requests at most: the core ends those that it does not know."""
+STRANGERS = 1000
+"""Robots that are not of the fleet file, at most; see :class:`~fullswarm.recent.Names`."""
 AT_REST = 0.02
 """m/s and rad/s, below which a robot stands."""
 
@@ -85,9 +90,11 @@ class CentralisedNode:
         self._jobs: dict[str, Job] = {}
         self._newest: Recent[str, tuple[str, int]] = Recent(MEMORY)
         self._states: dict[str, tuple[float, tuple[float, ...]]] = {}
+        self._names = Names(STRANGERS, lambda robot: self._states.pop(robot, None), config.robots)
         self._profiles: dict[str, RobotProfile] = {}  # of the robots of the jobs
         self._held: set[str] = set()
         self._logged: Recent[str, None] = Recent(MEMORY)
+        self._logged_s = -math.inf
         self._beats, self._sequence = itertools.count(1), itertools.count(1)
         self._subscriptions = [
             bus.subscribe(self._keys.centralised_request(), CentralisedRequest, self._requested),
@@ -132,9 +139,11 @@ class CentralisedNode:
         self._newest[request.request_id] = (request.core, request.sequence)
         if request.enable:
             self._start(request)
-        elif self._jobs.pop(request.request_id, None) and not self._jobs:
-            self._states.clear()
-            self._profiles.clear()
+        elif self._jobs.pop(request.request_id, None):
+            robots = {robot for job in self._jobs.values() for robot in job.request.robots}
+            self._profiles = {robot: each for robot, each in self._profiles.items() if robot in robots}
+            if not self._jobs:
+                self._states.clear()
 
     def _start(self, request: CentralisedRequest) -> None:
         job = self._jobs.get(request.request_id)
@@ -156,6 +165,9 @@ class CentralisedNode:
         except FullswarmError as error:
             self._log_once(request, error)
             return
+        if len(self._jobs) >= MOST_JOBS:
+            self._log_once(request, ConfigError(f"{MOST_JOBS} centralised requests run already"))
+            return
         state = State(law, request.robots, self._scheduler.now_s())
         job = Job(request, law, state, JointFilter() if request.filtered else None)
         for other in self._jobs.values():
@@ -167,10 +179,11 @@ class CentralisedNode:
             self._bus.publish(self._keys.profile_query, ProfileQuery(source=NODE))
 
     def _log_once(self, request: CentralisedRequest, error: Exception) -> None:
-        """Log once per request, which the core repeats."""
-        if request.request_id in self._logged:
+        """Log once per request, which the core repeats, and of a flood of requests one per second."""
+        now_s = self._scheduler.now_s()
+        if request.request_id in self._logged or now_s - self._logged_s < LOG_S:
             return
-        self._logged[request.request_id] = None
+        self._logged[request.request_id], self._logged_s = None, now_s
         log.error("centralised behaviour cannot run", behaviour=request.behaviour, error=str(error))
 
     def _update_states(self, states: RobotStates) -> None:
@@ -181,7 +194,7 @@ class CentralisedNode:
             return
         now_s = self._scheduler.now_s()
         for robot, state in zip(states.robots, zip(*columns, strict=True), strict=True):
-            if all(map(math.isfinite, state)):
+            if all(map(math.isfinite, state)) and self._names.admit(robot, now_s):
                 self._states[robot] = (now_s, state)
 
     def _describe(self, message: RobotProfiles) -> None:
@@ -189,6 +202,7 @@ class CentralisedNode:
         self._profiles |= {each.robot: each for each in message.robots if each.robot in robots}
 
     def _beat(self) -> None:
+        self._names.sweep(self._scheduler.now_s())
         heartbeat = Heartbeat(
             node=NODE,
             process=self._process,

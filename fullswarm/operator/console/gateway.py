@@ -328,6 +328,7 @@ class Gateway:
     def _send_map(self) -> None:
         self._forget_sessions(self._scheduler.now_s())
         self._missions.expire(self._scheduler.now_s())
+        self._obstacles.sweep(self._scheduler.now_s())
         if self._obstacles.changed:
             self._obstacles.changed = False
             with self._drawing("obstacles"):
@@ -481,7 +482,7 @@ class Gateway:
 
     def _on_obstacles(self, message: SeenObstacles) -> None:
         with self._drawing("obstacles"):
-            self._obstacles.add(message)
+            self._obstacles.add(message, self._scheduler.now_s())
 
     def _on_coverage(self, message: CoverageMeasurement) -> None:
         with self._drawing("coverage"):

@@ -14,6 +14,7 @@ from fullswarm.messages import BehaviourRequest, FileReload, Lease, RequestStatu
 from fullswarm.operator.console.fleet import core_age_s
 from fullswarm.operator.view import Snapshot
 from fullswarm.reasons import Code
+from fullswarm.recent import Recent
 
 LOG_LENGTH = 200
 
@@ -213,8 +214,10 @@ class ChangeLog:
     _silent: dict[str, bool] = field(default_factory=dict)
     _faults: dict[str, str] = field(default_factory=dict)
     _leases: dict[str, str] = field(default_factory=dict)
-    _processes: dict[tuple[str, str], tuple[str, str, int]] = field(default_factory=dict)  # → phase, end, starts
-    _reloads: dict[str, tuple[str, set[str]]] = field(default_factory=dict)  # file → problem, hosts that reported it
+    # file → problem, hosts that reported it
+    _reloads: Recent[str, tuple[str, set[str]]] = field(default_factory=lambda: Recent(REMEMBERED))
+    # → phase, end, starts
+    _processes: Recent[tuple[str, str], tuple[str, str, int]] = field(default_factory=lambda: Recent(REMEMBERED))
 
     def update(self, seen: Snapshot, now_s: float) -> None:
         """Log what has changed of hub, core and robots."""
@@ -243,6 +246,10 @@ class ChangeLog:
                 self.log.add(now_s, "link", row.text)
 
     def _robots(self, seen: Snapshot, now_s: float) -> None:
+        if len(self._silent) > len(seen.robots):
+            there = {row.robot for row in seen.robots}
+            self._silent = {robot: silent for robot, silent in self._silent.items() if robot in there}
+            self._faults = {robot: fault for robot, fault in self._faults.items() if robot in there}
         gone: list[str] = []
         back: list[str] = []
         faults: dict[str, list[str]] = {}
@@ -264,7 +271,7 @@ class ChangeLog:
     def reloaded(self, message: FileReload, now_s: float) -> None:
         """Log what became of a file that has changed; the other processes with the same report add nothing."""
         problem, hosts = self._reloads.get(message.file, ("", set()))
-        if hosts and problem == message.problem and message.host not in hosts:
+        if hosts and problem == message.problem and message.host not in hosts and len(hosts) < REMEMBERED:
             hosts.add(message.host)
             return
         self._reloads[message.file] = message.problem, {message.host}

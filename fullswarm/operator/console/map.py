@@ -17,7 +17,7 @@ from fullswarm.keys import TRUTH
 from fullswarm.messages import BehaviourRequest, CoverageMeasurement, Interventions, SeenObstacles
 from fullswarm.operator.view import Snapshot
 from fullswarm.perf.coverage import GridFrame, unpack_bits
-from fullswarm.recent import Recent
+from fullswarm.recent import Names, Recent
 
 TRAIL_S, TRAIL_RATE_HZ = 60.0, 5.0
 STEP_M = 0.01
@@ -32,6 +32,9 @@ class Trails:
 
     def add(self, seen: Snapshot, now_s: float) -> None:
         """Add the positions of robots that have moved."""
+        if len(self._points) > len(seen.robots):
+            there = {row.robot for row in seen.robots}
+            self._points = {robot: points for robot, points in self._points.items() if robot in there}
         for row in seen.robots:
             if row.silent or not math.isfinite(row.x_m):
                 continue
@@ -101,6 +104,8 @@ INTERVENTION_S = 0.7
 """Three periods of the interventions: an agent that sends no more has stopped to correct its robots."""
 FARTHEST_M = 1e6
 """Obstacles that are further away or larger are measurement errors."""
+MOST_HOSTS, MOST_ROWS = 1000, 1000
+"""Hosts, and obstacles of each, that are shown at most."""
 SAME_M = 0.05
 """Obstacles that two robots report this close together are one."""
 
@@ -112,7 +117,7 @@ class Coverage:
     changed: bool = False
     _frame: GridFrame | None = None
     _union: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
-    _newest: dict[str, bytes] = field(default_factory=dict)
+    _newest: Recent[str, bytes] = field(default_factory=lambda: Recent(MOST_HOSTS))
 
     def add(self, message: CoverageMeasurement) -> None:
         """Merge a host's grid; one that does not unpack is ignored, and so is the supervisor's."""
@@ -155,25 +160,40 @@ class Coverage:
 
 @dataclass(slots=True)
 class Obstacles:
-    """The obstacles that the robots have detected, each once."""
+    """The obstacles that the robots have detected, each once; those of a host that is gone for long are forgotten."""
 
     changed: bool = False
     _hosts: dict[str, tuple[tuple[float, ...], ...]] = field(default_factory=dict)
+    _names: Names = field(init=False)
 
-    def add(self, message: SeenObstacles) -> None:
-        """Replace the obstacles of one host.
+    def __post_init__(self) -> None:
+        self._names = Names(MOST_HOSTS, self._forget)
+
+    def _forget(self, host: str) -> None:
+        if self._hosts.pop(host, None):
+            self.changed = True
+
+    def sweep(self, now_s: float) -> None:
+        """Forget hosts that have been silent for long; to be called now and then."""
+        self._names.sweep(now_s)
+
+    def add(self, message: SeenObstacles, now_s: float) -> None:
+        """Replace the obstacles of one host; those beyond `MOST_ROWS` are left out.
 
         Raises
         ------
         MessageError
             A row is not finite or too large; the others are taken.
         """
-        rows = tuple(row for row in message.rows if all(abs(value) <= FARTHEST_M for value in row))  # NaN is not
+        if not self._names.admit(message.host, now_s):
+            return
+        sent = message.rows[:MOST_ROWS]
+        rows = tuple(row for row in sent if all(abs(value) <= FARTHEST_M for value in row))  # NaN is not
         if self._hosts.get(message.host) != rows:
             self._hosts[message.host] = rows
             self.changed = True
-        if len(rows) < len(message.rows):
-            reason = f"{len(message.rows) - len(rows)} obstacles that are not finite or too large"
+        if len(rows) < len(sent):
+            reason = f"{len(sent) - len(rows)} obstacles that are not finite or too large"
             raise MessageError(reason, where=message.host, hint="see the robot's log")
 
     def shown(self) -> dict[str, Any]:
@@ -195,6 +215,8 @@ class HeldBack:
 
     def add(self, message: Interventions, now_s: float) -> None:
         """Replace the interventions of one host."""
+        if message.host not in self._received_s and len(self._received_s) >= MOST_HOSTS:
+            return
         self._received_s[message.host] = now_s
         columns = zip(message.robots, message.x_m_s, message.y_m_s, message.reasons, strict=False)
         rows = {robot: [robot, round(x, 3), round(y, 3), reason] for robot, x, y, reason in columns}

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 from fullswarm import __version__, output
 from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.bus.endpoint import credentials_at, is_loopback
+from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import DEFAULT_HUB
@@ -168,7 +169,9 @@ async def _serve(
     port = listener.getsockname()[1]
     failed: list[BaseException] = []
     hub = target.hub or DEFAULT_HUB
-    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials_at(hub, target.swarm, "console", "console"))
+    credentials = credentials_at(hub, target.swarm, "console", "console")
+    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
+    renew_later(bus, runtime, keys, credentials)
     try:
         process = f"console@{socket.gethostname()}:{os.getpid()}"
         identity = Identity(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -14,6 +15,10 @@ from fullswarm.runtime import Scheduler
 EVERYTHING = "*"
 BEHAVIOUR, GROUP, ORDER = "behaviour/", "group/", "wanted/"
 BOUNDS, BOXES, SENSING = "world/bounds", "world/boxes", "agent/sensing_radius_m"
+MOST = 20_000
+"""Entries that are kept."""
+LONGEST_GAP_S, CALM_S = 8.0, 10.0
+"""Between two questions for all entries; twice as long each time, until none was asked for a while."""
 SETTLE_S = 0.2
 """Records that change together are read in one answer."""
 
@@ -45,7 +50,8 @@ class World:
         self._params = ParamClient(bus, keys, scheduler, author)
         self._values: dict[str, Stored] = {}
         self._core = ""
-        self._asking = self._again = self._closed = False
+        self._asking = self._again = self._waits = self._closed = False
+        self._asked_s, self._gap_s = -math.inf, SETTLE_S
         self.known = False
         """Whether the core has answered yet."""
         self._subscriptions = [
@@ -124,13 +130,31 @@ class World:
         return list(found) if isinstance(found, list | tuple) else []
 
     # ---------------------------------------------------------------- staying up to date
+    def _ask_soon(self, delay_s: float) -> None:
+        """Ask for all entries after `delay_s`, or later if that was needed often: cores that alternate, many changes.
+
+        One question at a time, and one that waits.
+        """
+        now_s = self._scheduler.now_s()
+        if self._waits or self._closed:
+            return
+        if now_s - self._asked_s > CALM_S:
+            self._gap_s = SETTLE_S
+        wait_s = max(delay_s, self._asked_s + self._gap_s - now_s)
+        self._waits = True
+        if wait_s <= 0.0:
+            self._ask()
+        else:
+            self._scheduler.after(wait_s, self._ask)
+
     def _ask(self) -> None:
         """Ask for all entries; a further question waits for the answer."""
         if self._closed:
             return
-        self._again = self._asking
+        self._again, self._waits = self._asking, False
         if not self._asking:
-            self._asking = True
+            self._asking, self._asked_s = True, self._scheduler.now_s()
+            self._gap_s = min(2.0 * self._gap_s, LONGEST_GAP_S)
             self._params.ask("get", EVERYTHING, self._answered)
 
     def _answered(self, reply: ParamReply) -> None:
@@ -143,18 +167,20 @@ class World:
             self._on_world()
             self._on_orders(self.orders())
         if self._again:
-            self._ask()
+            self._ask_soon(0.0)
 
     def _beat(self, beat: Heartbeat) -> None:
         if self._core and beat.process != self._core:
-            self._ask()
+            self._ask_soon(0.0)
         self._core = beat.process
 
     def _changed(self, entry: ParamEntry) -> None:
         key = entry.key
         if key.startswith(BEHAVIOUR):
             # Others may inherit from this one: only the core can resolve them.
-            self._scheduler.after(SETTLE_S, self._ask)
+            self._ask_soon(SETTLE_S)
+            return
+        if key not in self._values and len(self._values) >= MOST:
             return
         if entry.value is None:
             self._values.pop(key, None)
