@@ -150,13 +150,13 @@ class MainController:
             text = f"{error.what} ({error.hint})" if error.hint else error.what
             self._refuse(request, given(text, error.code, error.parameters))
 
-    def _record_stop(self, request: BehaviourRequest) -> None:
-        """Record when a stop was sent, also one that arrived as `StopRequest` before."""
+    def _record_stop(self, request: BehaviourRequest | StopRequest | EStop) -> None:
+        """Record when a stop or e-stop was sent: what was requested before it must not start robots after it."""
         known = self._roster.known()
         robots = set(self._groups.expand(request.robots)).intersection(known) if request.robots else known
         self._handler.note_halt(robots, request.id)
         for robot in robots:
-            self._request_order.stop(robot, request.id, request.clock, request.stamp_s)
+            self._request_order.stop(robot, request.id, request.clock or request.source, request.stamp_s)
 
     def _accept(self, request: BehaviourRequest) -> None:
         if not request.id:
@@ -258,12 +258,14 @@ class MainController:
             self._stand(stop_id, (robot,), given("e-stop", Code.ESTOP) if halt.estop else NONE)
 
     def _stopped(self, request: StopRequest) -> None:
+        self._record_stop(request)
         self._notify(request.id, request.robots, f"stopped by {request.source or UNNAMED}")
         self._stand(request.id, request.robots, NONE)
 
     def _emergency(self, estop: EStop) -> None:
         """Order robots in e-stop to stand: releasing it must not start any."""
         if estop.engaged:
+            self._record_stop(estop)
             self._notify(estop.id, estop.robots, f"e-stop by {estop.source or UNNAMED}")
             text = "e-stop" + (f": {estop.reason}" if estop.reason else "")
             self._stand(estop.id, estop.robots, given(text, Code.ESTOP))

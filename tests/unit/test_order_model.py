@@ -9,7 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from fullswarm.messages import RequestStatus
+from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
 from fullswarm.operator.leases import LeaseHolder
 from fullswarm.store import Store
@@ -42,8 +42,9 @@ class Orders(RuleBasedStateMachine):
         self.statuses: dict[str, RequestStatus] = {}
 
     def teardown(self) -> None:
-        for each in (*self.operators.values(), *self.holders.values()):
-            each.close()
+        for name in OPERATORS:
+            self.operators[name].close()
+            self.holders[name].close()
         self.whole.close()
         self.folder.cleanup()
 
@@ -54,7 +55,7 @@ class Orders(RuleBasedStateMachine):
     # ---------------------------------------------------------------- what operators do
     @rule(name=operators, robots=some_robots, take=st.booleans(), left=st.booleans())
     def request(self, name: str, robots: tuple[str, ...], take: bool, left: bool) -> None:
-        goal = {"goal": [-45.0 if left else 85.0, 10.0]}
+        goal: dict[str, Value] = {"goal": [-45.0 if left else 85.0, 10.0]}
         pending = self.operators[name].request("move_to_goal_bc", robots, goal, self._heard, take=take)
         self.settle()
         status = self.statuses[pending.request.id]
