@@ -24,7 +24,6 @@ ALL = (
     ("benchmarks.agent_start",),
     ("benchmarks.release",),
     ("benchmarks.fault_matrix", "--check"),
-    ("benchmarks.chaos", "--seconds", "60"),
     ("benchmarks.fleet",),
 )
 

@@ -33,33 +33,32 @@ AT_ONCE = 256
 """Messages that one call of :meth:`Runtime.serve_due` delivers at most."""
 
 Handler = Callable[[Any], None]
-Item = tuple[Handler, Any, Handler | None]
+Item = tuple[Handler, Any, Handler]
 T = TypeVar("T")
 
 
 class Lane(IntEnum):
-    """Kinds of messages in the order in which a mailbox delivers them."""
+    """Kinds of messages of other processes in the order in which a mailbox delivers them."""
 
-    LOCAL = 0
-    """Of this process: never dropped. On a simulated clock all messages are of this lane, in one order."""
-    ORDERS = 1
+    ORDERS = 0
     """What stops, starts and steers robots, and the answers: in one order, because a stop must not be carried out
     before a request that was sent earlier, which would start the robot again."""
-    STATES = 2
-    READS = 3
+    STATES = 1
+    READS = 2
     """Questions, statistics, what is only shown to people."""
 
 
-ROOM = {Lane.ORDERS: 2000, Lane.STATES: 4000, Lane.READS: 4000}
-"""Messages that wait in a lane at most. Stops are delivered however many wait."""
+ROOM = (2000, 4000, 4000)
+"""Messages that wait in each lane at most. Stops are delivered however many wait."""
 
 
 class Mailbox:
     """A thread-safe queue of (handler, message), and the gate that keeps nodes single-threaded.
 
-    Handlers run one at a time, by lane, within a lane in the order of arrival. Normally the runtime's thread runs them.
-    While it waits and nothing is queued, the thread that brings an urgent message may run its handler itself
-    (:meth:`run_now`): waking another thread would cost as much as the rest of the way through this process.
+    Handlers run one at a time, in the order of arrival; of messages that were put into lanes the first lane comes
+    first. Normally the runtime's thread runs them. While it waits and nothing is queued, the thread that brings an
+    urgent message may run its handler itself (:meth:`run_now`): waking another thread would cost as much as the rest of
+    the way through this process.
 
     Attributes
     ----------
@@ -71,8 +70,9 @@ class Mailbox:
         self.on_put: Callable[[], None] | None = None
         """Called after each :meth:`put`, on the thread that puts: wakes a loop that waits for something else, too."""
         self.dropped: dict[str, int] = {}
+        # None stands for one message of a lane, the first one there is when its turn comes.
+        self._queue: queue.SimpleQueue[tuple[Handler, Any] | None] = queue.SimpleQueue()
         self._lanes: tuple[deque[Item], ...] = tuple(deque() for _ in Lane)
-        self._tokens: queue.SimpleQueue[None] = queue.SimpleQueue()  # one for each message; to wait for
         self._waiting = 0
         self._count = threading.RLock()  # reentrant: a signal handler may put while its own thread puts
         # Closed except while the runtime waits, so no foreign thread ever meets a node that is being built or busy.
@@ -80,11 +80,10 @@ class Mailbox:
         self._gate.acquire()
 
     def put(self, handler: Handler, message: Any) -> None:
-        """Have `handler` called with `message` on the runtime's thread. Any thread may put."""
+        """Have `handler` called with `message` on the runtime's thread. Any thread may put. Nothing is dropped."""
         with self._count:
             self._waiting += 1
-            self._lanes[0].append((handler, message, None))
-        self._tokens.put(None)
+        self._queue.put((handler, message))
         if self.on_put is not None:
             self.on_put()
 
@@ -94,23 +93,22 @@ class Mailbox:
         The oldest of the lane is dropped, of orders the new one: those before it may be stops. `always`: it is a stop
         and is never dropped.
         """
-        items = self._lanes[lane]
+        items, lost = self._lanes[lane], (handler, message, on_drop)
         with self._count:
             full = len(items) >= ROOM[lane] and not always
-            if full:
-                self.dropped[lane.name.lower()] = self.dropped.get(lane.name.lower(), 0) + 1
             if not full:
                 self._waiting += 1
-                items.append((handler, message, on_drop))
-            elif lane != Lane.ORDERS:
-                _, oldest, forget = items.popleft()
-                items.append((handler, message, on_drop))
-        if not full:
-            self._tokens.put(None)
-        elif lane == Lane.ORDERS:
-            on_drop(message)
-        elif forget is not None:
-            forget(oldest)
+                items.append(lost)
+            else:
+                name = lane.name.lower()
+                self.dropped[name] = self.dropped.get(name, 0) + 1
+                if lane is not Lane.ORDERS:
+                    items.append(lost)
+                    lost = items.popleft()
+        if full:
+            lost[2](lost[1])
+        else:
+            self._queue.put(None)
         if self.on_put is not None:
             self.on_put()
 
@@ -141,10 +139,9 @@ class Mailbox:
 
     def drain(self, most: int | None = None) -> int:
         """Deliver all that is there, and what that causes, but not more than `most`; return how many."""
-        count, tokens = 0, self._tokens
-        while count != most and not tokens.empty():
-            tokens.get_nowait()
-            self._handle()
+        count, waiting = 0, self._queue
+        while count != most and not waiting.empty():
+            self._handle(waiting.get_nowait())
             count += 1
         return count
 
@@ -154,21 +151,26 @@ class Mailbox:
             if timeout_s > 0:
                 self._gate.release()
                 try:
-                    self._tokens.get(timeout=timeout_s)
+                    item = self._queue.get(timeout=timeout_s)
                 finally:
                     self._gate.acquire()
             else:
-                self._tokens.get_nowait()
+                item = self._queue.get_nowait()
         except queue.Empty:
             return False
-        self._handle()
+        self._handle(item)
         return True
 
-    def _handle(self) -> None:
-        """Deliver the first message of the first lane that has one; there is one."""
-        handler, message, _ = next(lane for lane in self._lanes if lane).popleft()
+    def _handle(self, item: tuple[Handler, Any] | None) -> None:
+        if item is None:
+            for lane in self._lanes:
+                if lane:  # one of them is: each None of the queue stands for a message
+                    item = lane.popleft()[:2]
+                    break
+            else:
+                return
         try:
-            handler(message)
+            item[0](item[1])
         finally:
             with self._count:
                 self._waiting -= 1

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from fullswarm.bringup.checks import Check
-from fullswarm.bus.endpoint import host_of
+from fullswarm.bus.endpoint import host_of, is_secured
 from fullswarm.clock import wall_time_s
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import ConfigError, FullswarmError
@@ -72,7 +72,7 @@ def check_certificates(config: SwarmConfig, names: Iterable[tuple[str, Role]] | 
     names
         Whose; None: all that the fleet needs, if its authority is here, else this user's own.
     """
-    if not config.hub.endpoint.startswith("tls/"):
+    if not is_secured(config.hub.endpoint):
         return
     folder = KeysFolder.of(config.swarm)
     if names is None:
@@ -129,9 +129,9 @@ def warnings_of(swarm: str, now_s: float) -> Iterator[str]:
     from fullswarm.identity.authority import list_certificates
     from fullswarm.identity.certificates import when
 
-    for entry in list_certificates(folder, now_s) if folder.has_authority else ():
+    for entry in list_certificates(folder, now_s):
         found = entry.certificate
-        if found is not None and not entry.revoked and found.ends_soon(now_s):
+        if found is not None and not (entry.revoked and folder.has_authority) and found.ends_soon(now_s):
             verb = "expired" if found.expires_s <= now_s else "expires"
             moment = f"{when(found.expires_s):%Y-%m-%d %H:%M} UTC"
             yield f"the certificate of {found.name} {verb} {moment}: fullswarm keys renew {found.name} --swarm {swarm}"

@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from fullswarm.bringup import checks
+from fullswarm.bringup.certificates import check_certificates
 from fullswarm.bringup.checks import Check
 from fullswarm.bringup.machine import (
     access,
@@ -62,6 +63,7 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
         yield from _frame(config)
         yield from checks.stopping(config)
         yield from _evidence(config)
+        yield from check_certificates(config)
         yield _hub(config)
         for robot in config.robot:
             yield from _robot(config, robot)

@@ -22,6 +22,7 @@ import typer
 
 from fullswarm import __version__, output
 from fullswarm.bringup import checks
+from fullswarm.bringup.certificates import check_certificates, names_of
 from fullswarm.bringup.checks import Check, Status, show, took
 from fullswarm.bringup.preflight_ssh import RobotComputer, computer, inspect
 from fullswarm.bus.endpoint import host_of, is_loopback
@@ -147,6 +148,7 @@ def _checks(config: SwarmConfig, robot: RobotConfig, agree: Agree | None, reache
         ways = Ways(bus, _look(config, robot))
         reached["bus"], reached["ssh"] = ways.received, isinstance(ways.ssh, RobotComputer)
         yield from checks.stopping(config)
+        yield from check_certificates(config, (names_of(config)[-1], (robot.id, "robot")))
         yield _by_ssh(ways)
         if isinstance(ways.ssh, RobotComputer):
             port, net = port_of(robot)

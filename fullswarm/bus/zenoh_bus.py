@@ -20,7 +20,7 @@ import structlog
 import zenoh
 
 from fullswarm.bus.base import Delivery, Subscription, matches
-from fullswarm.bus.codec import decode, encode
+from fullswarm.bus.codec import LARGEST_BYTES, decode, encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, host_of, is_secured
 from fullswarm.bus.lanes import Bucket, service_of
 from fullswarm.clock import MonotonicClock
@@ -67,6 +67,8 @@ _COMMON: dict[str, object] = {
     "scouting/gossip/enabled": False,
     "scouting/delay": 0,  # else opening a router waits 0.5 s in vain
     "transport/link/tx/lease": 1000,  # ms; what a node announces: its silence is noticed after this
+    # Zenoh's own limit is 1 GB: a receiver would gather that much before anything here sees the message.
+    "transport/link/rx/max_message_size": 2 * LARGEST_BYTES,
     # Our messages are small: shared memory saves nothing, costs 16 MB and leaves files after a kill.
     "transport/shared_memory/enabled": False,
 }

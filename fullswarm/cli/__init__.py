@@ -13,7 +13,7 @@ file               commands
 ``leases.py``      `leases`, `leases hold`
 ``joystick.py``    `joystick`, `joystick list|test|map`
 ``audit.py``       `audit show|verify`
-``console.py``     `console`
+``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``experiment.py``  `experiment run|trial|watch|replay`
 ``rehearse.py``    `rehearse`
@@ -22,6 +22,7 @@ file               commands
 ``study.py``       `study check|run|status|export|unblind`
 ``bundle.py``      `bundle`
 ``keys.py``        `keys`, `keys init|issue|renew|revoke|list`
+``signing.py``     `signing list|rotate|revoke|root`
 ``deploy.py``      `deploy`, `update`, `rollback`, `fleet`, `logs`, `shell`, `reboot`
 ``flash.py``       `flash`
 ``options.py``     the decorator of all commands; options that several commands have

@@ -31,7 +31,7 @@ def bundle(
     ] = None,
     extras: Annotated[
         list[str] | None,
-        typer.Option("--with", metavar="EXTRA", help="Extras, separated by commas: mavlink, can, core."),
+        typer.Option("--with", metavar="EXTRA", help="Extras, separated by commas: keys, mavlink, can, core."),
     ] = None,
     packages: Annotated[
         list[Path] | None,

@@ -1,4 +1,4 @@
-"""`fullswarm console`: serves the web console."""
+"""`fullswarm console`: serves the web console; `fullswarm console tokens`: the tokens of its operators."""
 
 from __future__ import annotations
 
@@ -13,14 +13,28 @@ import typer
 
 from fullswarm import output
 from fullswarm.cli.options import Json, shell_command
+from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
     from fullswarm.runtime import Scheduler
 
 
+console_app = typer.Typer()
+tokens_app = typer.Typer(
+    no_args_is_help=True, help="Add, list and revoke the tokens of named operators; a running console notices."
+)
+console_app.add_typer(tokens_app, name="tokens")
+TokensFile = Annotated[
+    Path | None,
+    typer.Option("--tokens", metavar="FILE", help="The file with the tokens (default: one in your config folder)."),
+]
+
+
+@console_app.callback(invoke_without_command=True)
 @shell_command()
 def console(
+    context: typer.Context,
     target: Target,
     listen: Annotated[
         str, typer.Option(metavar="HOST:PORT", help="The address to listen on; port 0: any free port.")
@@ -35,6 +49,15 @@ def console(
         Path | None,
         typer.Option(metavar="FILE", help="File with the token (default: FULLSWARM_CONSOLE_TOKEN, or a new one)."),
     ] = None,
+    named: Annotated[
+        bool, typer.Option("--named", help="Only operators with tokens of their own: `console tokens add NAME`.")
+    ] = False,
+    tokens: Annotated[
+        Path | None, typer.Option("--tokens", metavar="FILE", help="The same with their tokens in this file.")
+    ] = None,
+    owner: Annotated[
+        str, typer.Option("--operator", metavar="NAME", help="Whose the token is; else each page may state a name.")
+    ] = "",
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     insecure_network: Annotated[
         bool, typer.Option("--insecure-network", help="Listen beyond this machine: everyone on that network can drive.")
@@ -44,16 +67,25 @@ def console(
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> int:
     """Serve the web console: watch, drive and stop the swarm from a browser. Print the address to open."""
+    if context.invoked_subcommand is not None:
+        if any(str(context.get_parameter_source(name)) == "ParameterSource.COMMANDLINE" for name in context.params):
+            raise typer.BadParameter(f"options go behind '{context.invoked_subcommand}'")  # here they would do nothing
+        return 0
+    if (named or tokens) and (owner or token_file):
+        raise ConfigError("--named and --tokens need neither --operator nor --token-file", where="console")
     from fullswarm.drivers.make import makes
     from fullswarm.launch.liveness import report_alive
     from fullswarm.launch.web_console import open_browser
     from fullswarm.operator.console.serve import OPEN_S, Options, RedirectPage, serve
+    from fullswarm.operator.session import operator_name
 
     options = Options(
         listen=listen,
         read_only=read_only,
         allow_hosts=tuple(allow_host or ()),
         token_file=token_file,
+        tokens=tokens or (_tokens_file() if named else None),
+        operator=operator_name(owner) if owner else "",
         insecure_network=insecure_network,
         study=study,
         icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},
@@ -66,6 +98,8 @@ def console(
             else:
                 output.data(address)
                 output.progress("open this address in a browser; Ctrl-C ends")
+                if options.tokens is not None:
+                    output.progress("each operator opens the address that `console tokens add` has printed for them")
             sys.stdout.flush()
             if open_page:
                 page = RedirectPage(address)
@@ -79,6 +113,77 @@ def console(
 
         output.log_to_stderr(warnings_only=True)
         return serve(target, options, on_start)
+
+
+@tokens_app.command()
+@shell_command()
+def add(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The operator, as leases and requests name them.")],
+    observer: Annotated[bool, typer.Option("--observer", help="Show all, send nothing, not even a stop.")] = False,
+    days: Annotated[
+        float | None, typer.Option(metavar="N", min=0.001, max=36500, help="Let it end after so many days.")
+    ] = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="Let it open one browser tab, which stays in while it is used.")
+    ] = False,
+    tokens: TokensFile = None,
+) -> int:
+    """Make a token for an operator, in place of the one they have, and print it; it is shown this once."""
+    from fullswarm.clock import wall_time_s
+    from fullswarm.operator.console.tokens import TokenFile
+
+    file = TokenFile(tokens or _tokens_file())
+    token = file.add(name, "observer" if observer else "operator", wall_time_s(), days=days, once=once)
+    output.data(f"#token={token}")
+    output.progress(f"{name} opens the console's address with this behind its last /; it is not shown again")
+    return 0
+
+
+@tokens_app.command("list")
+@shell_command()
+def list_tokens(tokens: TokensFile = None, as_json: Json = False) -> int:
+    """List the operators that have a token."""
+    from datetime import datetime
+
+    from rich.markup import escape
+
+    from fullswarm.clock import wall_time_s
+    from fullswarm.operator.console.tokens import TokenFile
+
+    found = TokenFile(tokens or _tokens_file()).tokens()
+    if as_json:
+        names = ("name", "role", "issued_s", "expires_s", "once", "used")
+        output.data_json([{name: getattr(each, name) for name in names} for each in found])
+        return 0
+    table = output.plain_table("operator", "role", "made", "ends", "state")
+    for each in found:
+        ended = each.expires_s is not None and each.expires_s <= wall_time_s()
+        times = [
+            "never" if at_s is None else datetime.fromtimestamp(at_s).astimezone().strftime("%Y-%m-%d %H:%M")
+            for at_s in (each.issued_s, each.expires_s)
+        ]
+        state = "ended" if ended else "used" if each.used else "once" if each.once else ""
+        table.add_row(escape(each.name), each.role, *times, state)
+    output.data_table(table)
+    return 0
+
+
+@tokens_app.command()
+@shell_command()
+def revoke(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The operator.")], tokens: TokensFile = None
+) -> int:
+    """Take an operator's token away; a running console closes their pages within a second."""
+    from fullswarm.operator.console.tokens import TokenFile
+
+    TokenFile(tokens or _tokens_file()).revoke(name)
+    return 0
+
+
+def _tokens_file() -> Path:
+    import platformdirs
+
+    return platformdirs.user_config_path("fullswarm") / "console-tokens.json"
 
 
 def leave_with_parent(scheduler: Scheduler, leave: Callable[[], None]) -> None:

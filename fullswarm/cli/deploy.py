@@ -34,6 +34,10 @@ Release = Annotated[
 TargetName = Annotated[
     str | None, typer.Option("--target", metavar="NAME", help="Consider only releases of this target.")
 ]
+AllowOlder = Annotated[
+    bool,
+    typer.Option("--allow-older", help="Sign the release of --release anew: robots may go back to it."),
+]
 Guard = Annotated[
     float,
     typer.Option(
@@ -62,6 +66,10 @@ def deploy(
     robots: Robots = None,
     release: Release = None,
     target: TargetName = None,
+    allow_older: AllowOlder = False,
+    rename: Annotated[
+        bool, typer.Option("--rename", help="Install robots that have another name, under the one of the fleet file.")
+    ] = False,
     guard: Guard = 60.0,
     force: Force = False,
     accept: Annotated[
@@ -86,9 +94,11 @@ def deploy(
             robots,
             release=release,
             target=target,
+            allow_older=allow_older,
             guard_s=guard,
             force=force,
             accept_host_keys=accept,
+            rename=rename,
             ask_password=ask_password,
             at_a_time=at_a_time,
             dry_run=dry_run,
@@ -103,6 +113,7 @@ def update(
     robots: Robots = None,
     release: Release = None,
     target: TargetName = None,
+    allow_older: AllowOlder = False,
     canary: Annotated[
         int, typer.Option(min=0, max=64, help="Number of robots to update first; they must be healthy.")
     ] = 1,
@@ -134,6 +145,7 @@ def update(
             robots,
             release=release,
             target=target,
+            allow_older=allow_older,
             plan=Plan(canary, parse_share(wave), stop_at),
             guard_s=guard,
             force=force,

@@ -97,6 +97,7 @@ def init(
     Doing it again adds what is missing, such as a new robot of the fleet file.
     """
     from fullswarm.bringup.certificates import issue_all
+    from fullswarm.bus.endpoint import is_secured
     from fullswarm.drivers.fleet_file import load_fleet
     from fullswarm.identity.authority import Authority
     from fullswarm.identity.folder import KeysFolder
@@ -119,7 +120,7 @@ def init(
             output.progress(
                 f"{each.name} stays revoked; if it may come back: {folder.issue_command(each.name, each.role)}"
             )
-    if config is not None and not config.hub.endpoint.startswith("tls/"):
+    if config is not None and not is_secured(config.hub.endpoint):
         output.progress(f'the hub is not secured yet: [hub] endpoint = "tls/ADDRESS:7447" in {fleet}')
     return 0
 

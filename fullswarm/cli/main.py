@@ -11,7 +11,7 @@ import typer
 from fullswarm import __version__
 from fullswarm.cli import bundle, completion, deploy, estop, flash, request, robots, status, tryout
 from fullswarm.cli.audit import audit_app
-from fullswarm.cli.console import console
+from fullswarm.cli.console import console_app
 from fullswarm.cli.experiment import experiment_app
 from fullswarm.cli.joystick import joystick_app
 from fullswarm.cli.keys import keys_app
@@ -22,6 +22,7 @@ from fullswarm.cli.params import params_app
 from fullswarm.cli.rehearse import rehearse
 from fullswarm.cli.results import results_app
 from fullswarm.cli.scenario import scenario_app
+from fullswarm.cli.signing import signing_app
 from fullswarm.cli.study import study_app
 from fullswarm.errors import ConfigError
 
@@ -38,12 +39,12 @@ app = typer.Typer(
 START, EVALUATE, DEPLOY, HARDWARE, RUN = "Start", "Evaluate", "Deploy", "Robots and ports", "Single processes"
 for command in (
     request.request, request.stop, estop.estop, request.drive, request.mock, status.status, status.watch,
-    status.behaviours, console,
+    status.behaviours,
 ):  # fmt: skip
     app.command()(command)
 for group, name in (
     (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
-    (audit_app, "audit"),
+    (audit_app, "audit"), (console_app, "console"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
 for group, name, text in (
@@ -60,6 +61,7 @@ for command in (
 ):  # fmt: skip
     app.command(rich_help_panel=DEPLOY)(command)
 app.add_typer(keys_app, name="keys", rich_help_panel=DEPLOY)
+app.add_typer(signing_app, name="signing", rich_help_panel=DEPLOY)
 app.add_typer(robots.robots_app, name="robots", rich_help_panel=HARDWARE)
 for command in (robots.doctor, robots.emulate):
     app.command(rich_help_panel=HARDWARE)(command)

@@ -30,9 +30,21 @@ def rehearse(
         float | None,
         typer.Option(min=1.0, help="Begin no further episode after so many real seconds (default: no limit)."),
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Real processes in real time on this machine, not a simulated clock.")
+    ] = False,
+    minutes: Annotated[float, typer.Option(min=0.2, max=1e5, help="With --live: how long faults happen.")] = 5.0,
+    every: Annotated[
+        float, typer.Option(min=0.5, max=600.0, help="With --live: seconds from one fault to the next.")
+    ] = 5.0,
     as_json: Json = False,
 ) -> int:
-    """Inject seeded faults into the whole stack on a simulated clock; exit code 1 when an invariant broke."""
+    """Inject seeded faults into the whole stack on a simulated clock; exit code 1 when an invariant broke.
+
+    With `--live` the same of a swarm of real processes: killed, stopped, cut off, with a full disk.
+    """
+    if live:
+        return _live(robots, minutes, every, seed, as_json=as_json)
     from fullswarm.output import data, data_json, progress, quiet
     from fullswarm.rehearse.faults import check_kinds
     from fullswarm.rehearse.rehearsal import Options, text_of
@@ -57,3 +69,18 @@ def _indices(text: str) -> tuple[int, ...]:
         return tuple(sorted({int(each) for each in text.split(",")}))
     except ValueError:
         raise ConfigError(f"'{text}' is no list of indices", where="--faults", hint="for example 3,17") from None
+
+
+def _live(robots: int, minutes: float, every_s: float, seed: int, *, as_json: bool) -> int:
+    from dataclasses import asdict
+
+    from fullswarm.output import data, data_json, log_to_stderr
+    from fullswarm.rehearse.live.rehearsal import LOSS, rehearse_live, text_of
+
+    log_to_stderr(warnings_only=True)
+    report = rehearse_live(robots, 60.0 * minutes, every_s, seed, LOSS)
+    if as_json:
+        data_json(asdict(report))
+    else:
+        data(text_of(report))
+    return 1 if report.failed else 0

@@ -38,7 +38,20 @@ def status(target: Target, robots: Robots = None, as_json: Json = False) -> int:
         output.data_json(seen.as_dict())
     else:
         output.data_table(fleet_table(seen))
+    _warn_of_certificates(target)
     return 0
+
+
+def _warn_of_certificates(target: Target) -> None:
+    from fullswarm.bus.endpoint import is_secured
+
+    if target.hub is None or not is_secured(target.hub):
+        return
+    from fullswarm.bringup.certificates import warnings_of
+    from fullswarm.clock import wall_time_s
+
+    for line in warnings_of(target.swarm, wall_time_s()):
+        output.progress(f"warning: {line}")
 
 
 @shell_command()

@@ -73,6 +73,7 @@ class RobotRow:
     profile: RobotProfile | None = None  # None: not received yet
     memory: RobotMemory | None = None  # None: its control law remembers nothing
     actuators: Mapping[str, str] = field(default_factory=dict)  # what was asked of each last, in words
+    dropped: Mapping[str, int] = field(default_factory=dict)  # messages that its agent has dropped, by lane or cause
 
     @property
     def silent(self) -> bool:
@@ -288,6 +289,7 @@ class FleetView:
             radius_m=radius_m,
             host="" if report is None else report.host,
             version="" if report is None else report.version,
+            dropped={} if report is None else report.dropped,
             wall_offset_s=None if report is None else report.wall_offset_s,
             round_trip_s=-1.0 if report is None else report.round_trip_s,
             profile=self._profiles.get(robot),
@@ -368,6 +370,7 @@ def _robot_as_dict(row: RobotRow) -> dict[str, object]:
         "capabilities": [] if row.profile is None else list(row.profile.capabilities),
         "memory": {} if row.memory is None else {name: list(values) for name, values in row.memory.fields.items()},
         "actuators": dict(row.actuators),
+        "dropped": dict(row.dropped),
         "wall_offset_s": row.wall_offset_s,
         "round_trip_s": None if row.round_trip_s < 0.0 else row.round_trip_s,
     }

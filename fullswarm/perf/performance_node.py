@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+import structlog
 
 from fullswarm.bus.base import Bus
 from fullswarm.errors import ConfigError
@@ -21,6 +23,8 @@ from fullswarm.messages import Summary
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 from fullswarm.units import unit_of
+
+log = structlog.get_logger()
 
 FORMAT = "fullswarm.performance/1"
 WRITE_PERIOD_S = 1.0
@@ -66,8 +70,11 @@ class PerformanceNode:
         """Why the last write failed, e.g. a full disk; it is tried again each second."""
         if results is not None:
             _make_writable(results)
-        self._timer = scheduler.every(WRITE_PERIOD_S, self._write)
-        self._subscription = bus.subscribe(keys.summary(), Summary, self._on_summary, latest=True)
+        self.failures = 0
+        """How often the bookkeeping itself has failed; the process goes on commanding robots."""
+        self._timer = scheduler.every(WRITE_PERIOD_S, lambda: self._safely(self._write))
+        take = lambda summary: self._safely(lambda: self._on_summary(summary))  # noqa: E731
+        self._subscription = bus.subscribe(keys.summary(), Summary, take, latest=True)
 
     @property
     def summaries(self) -> dict[str, Summary]:
@@ -108,7 +115,17 @@ class PerformanceNode:
         self._closed = True
         self._subscription.close()
         self._timer.cancel()
-        self._write(sync=True)
+        self._safely(lambda: self._write(sync=True))
+
+    def _safely(self, work: Callable[[], None]) -> None:
+        """Do some bookkeeping; log its first failure and count all, because no statistics may end this process."""
+        try:
+            work()
+        except Exception as error:
+            self.failures += 1
+            if self.failures == 1:
+                log.error("the results failed; the robots are not concerned", exc_info=error)
+            self.fault = f"the results failed: {type(error).__name__}: {error}"
 
     def _on_summary(self, summary: Summary) -> None:
         before = self._newest.get(summary.metric)

@@ -15,4 +15,5 @@ Files:
 ``judge.py``      the invariants and their bounds; shares no code with what it checks
 ``episode.py``    one episode: faults for some minutes, then quiet, then judged
 ``rehearsal.py``  many episodes side by side, their sum, and the reduction of a failure
+``live/``         the same with real processes in real time
 """

@@ -66,7 +66,7 @@ class Fleet:
     def settle(self) -> None:
         """Heal everything and bring all robots to the first release."""
         self.lab.heal()
-        self.lab.cli("deploy", "--release", self.first)
+        self.lab.cli("deploy", "--release", self.first, "--allow-older")
         self.lab.wait_ready()
 
     def runs(self, robot: str) -> str | None:

@@ -117,7 +117,7 @@ def test_an_update_of_a_computer_whose_root_is_read_only(fleet: Fleet) -> None:
     computer.wait()
     computer.do("sh", "-c", "! touch /etc/anything 2>/dev/null")
     lab.wait_ready([robot])
-    done = lab.cli("update", robot, "--release", fleet.second, "--json")
+    done = lab.cli("update", robot, "--release", fleet.second, "--allow-older", "--json")
     assert results(done) == {robot: "updated"}, done.out
     lab.cli("estop", robot)
     computer.do("systemctl", "restart", "fullswarm-agent")
@@ -135,7 +135,7 @@ def test_a_first_deploy_where_sudo_wants_a_password(fleet: Fleet) -> None:
     computer.boot()
     computer.wait()
     computer.do("sh", "-c", f"echo '{ADMIN}:{PASSWORD}' | chpasswd")
-    unasked = lab.cli("deploy", robot, "--release", fleet.first, "--json", code=3)
+    unasked = lab.cli("deploy", robot, "--release", fleet.first, "--allow-older", "--json", code=3)
     assert "--ask-sudo-password" in str(row_of(unasked, robot))
     wrong = _with_password(lab, "wrong", robot, fleet.first)
     assert wrong.returncode == 3
@@ -145,13 +145,13 @@ def test_a_first_deploy_where_sudo_wants_a_password(fleet: Fleet) -> None:
     assert PASSWORD not in right.stdout + right.stderr + computer.journal("sudo", 1000)
     lab.wait_ready([robot])
     # From then on its own program may be run without.
-    lab.cli("update", robot, "--release", fleet.second)
+    lab.cli("update", robot, "--release", fleet.second, "--allow-older")
     lab.blank(robot)
     lab.heal(robot)
 
 
 def _with_password(lab: Lab, password: str, robot: str, release: str) -> subprocess.CompletedProcess[str]:
-    words = lab.command("deploy", robot, "--release", release, "--ask-sudo-password", "--json")
+    words = lab.command("deploy", robot, "--release", release, "--allow-older", "--ask-sudo-password", "--json")
     return subprocess.run(
         words, input=f"{password}\n", capture_output=True, text=True, check=False, env=lab.environment, cwd=lab.folder
     )

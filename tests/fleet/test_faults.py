@@ -61,7 +61,15 @@ class Campaign:
         release = self._release(fault, before)
         self._prepare(fault, robot)
         update = self.lab.start(
-            "update", robot, "--release", release, "--guard", str(GUARD_S), "--json", log=f"fault-{fault.number}.log"
+            "update",
+            robot,
+            "--release",
+            release,
+            "--allow-older",
+            "--guard",
+            str(GUARD_S),
+            "--json",
+            log=f"fault-{fault.number}.log",
         )
         struck = fault.kind not in AT_A_MOMENT or strike(fault, Case(self.lab, computer, release, update))
         try:

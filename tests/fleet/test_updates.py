@@ -30,7 +30,7 @@ def test_the_first_deploy(whole_fleet: Fleet) -> None:
 
 def test_the_second_deploy_moves_next_to_nothing_and_restarts_nothing(fleet: Fleet) -> None:
     starts, before = fleet.lab.starts(), fleet.moved_bytes()
-    done = fleet.lab.cli("deploy", "--release", fleet.first, "--json")
+    done = fleet.lab.cli("deploy", "--release", fleet.first, "--allow-older", "--json")
     sent = (fleet.moved_bytes() - before) / len(fleet.lab.robots)
     assert set(results(done).values()) == {"unchanged"}
     assert fleet.lab.starts() == starts
@@ -41,9 +41,11 @@ def test_the_second_deploy_moves_next_to_nothing_and_restarts_nothing(fleet: Fle
 
 def test_an_update_of_the_app_only(fleet: Fleet) -> None:
     lab, first, second = fleet.lab, fleet.first, fleet.second
-    took_s = [lab.cli("update", robot, "--release", second, "--json").took_s for robot in lab.robots[:3]]
+    took_s = [
+        lab.cli("update", robot, "--release", second, "--allow-older", "--json").took_s for robot in lab.robots[:3]
+    ]
     before = fleet.moved_bytes()
-    done = lab.cli("update", "--release", second, "--json")
+    done = lab.cli("update", "--release", second, "--allow-older", "--json")
     sent = (fleet.moved_bytes() - before) / (len(lab.robots) - 3)
     assert set(results(done).values()) <= {"updated", "unchanged"}
     assert set(lab.releases().values()) == {second}
@@ -60,12 +62,12 @@ def test_an_update_of_the_app_only(fleet: Fleet) -> None:
 
 def test_a_broken_release_goes_back_by_itself(fleet: Fleet) -> None:
     lab = fleet.lab
-    careful = lab.cli("update", "--release", fleet.broken, "--json", code=1)
+    careful = lab.cli("update", "--release", fleet.broken, "--allow-older", "--json", code=1)
     tried = [robot for robot, result in results(careful).items() if result == "rolled back"]
     assert tried == lab.robots[: len(tried)]
     assert len(tried) == 2, "a canary, then another in its place; then it is enough"
     everywhere = ("--canary", "0", "--wave", "100%", "--stop-at", "64", "--at-a-time", "16")
-    bold = lab.cli("update", "--release", fleet.broken, *everywhere, "--json", code=1)
+    bold = lab.cli("update", "--release", fleet.broken, "--allow-older", *everywhere, "--json", code=1)
     assert set(results(bold).values()) == {"rolled back"}
     assert set(lab.releases().values()) == {fleet.first}
     lab.wait_ready()
@@ -114,7 +116,9 @@ def _refused_on_board(fleet: Fleet, release: Path) -> None:
 
 def test_a_robot_that_is_cut_off_in_mid_update_goes_back_by_itself(fleet: Fleet) -> None:
     lab, robot = fleet.lab, fleet.lab.robots[2]
-    update = lab.start("update", robot, "--release", fleet.second, "--guard", str(GUARD_S), "--json", log="cut.log")
+    update = lab.start(
+        "update", robot, "--release", fleet.second, "--allow-older", "--guard", str(GUARD_S), "--json", log="cut.log"
+    )
     until(when(lab.computers[robot], "switched", fleet.second), START_S, "the switch")
     lab.network.cut(robot)
     began_s = time.monotonic()
@@ -134,7 +138,7 @@ def test_one_that_cannot_take_it_is_named_and_the_rest_go_on(fleet: Fleet) -> No
     new = fleet.changed("for all but two", kilobytes=200)  # nobody has any of it yet
     lab.computers[full].fill()
     lab.mute(mute)
-    done = lab.cli("update", "--release", new, "--guard", str(GUARD_S), "--json", code=1)
+    done = lab.cli("update", "--release", new, "--allow-older", "--guard", str(GUARD_S), "--json", code=1)
     said = results(done)
     assert said.pop(full) == "failed"
     assert "disk" in str(row_of(done, full)["what"])
@@ -151,7 +155,7 @@ def test_one_that_cannot_take_it_is_named_and_the_rest_go_on(fleet: Fleet) -> No
 def test_a_power_cut_between_switch_and_commit(fleet: Fleet) -> None:
     lab, robot = fleet.lab, fleet.lab.robots[3]
     computer = lab.computers[robot]
-    update = lab.start("update", robot, "--release", fleet.second, "--json", log="power.log")
+    update = lab.start("update", robot, "--release", fleet.second, "--allow-older", "--json", log="power.log")
     until(when(computer, "switched", fleet.second), START_S, "the switch")
     computer.pull()
     assert (computer.root / "opt/fullswarm/pending").exists()
@@ -168,7 +172,7 @@ def test_a_latched_emergency_stop_outlives_an_update(fleet: Fleet) -> None:
     lab, robot = fleet.lab, fleet.lab.robots[0]
     lab.cli("estop")
     assert set(lab.stopped().values()) == {True}
-    lab.cli("update", robot, "--release", fleet.second)
+    lab.cli("update", robot, "--release", fleet.second, "--allow-older")
     lab.wait_ready()
     assert lab.releases()[robot] == fleet.second
     assert set(lab.stopped().values()) == {True}
@@ -179,8 +183,8 @@ def test_a_latched_emergency_stop_outlives_an_update(fleet: Fleet) -> None:
 def test_who_was_away_comes_later(fleet: Fleet) -> None:
     lab, away = fleet.lab, fleet.lab.robots[1]
     lab.network.cut(away)
-    done = lab.cli("update", *lab.robots[:3], "--release", fleet.second, "--json", code=1)
+    done = lab.cli("update", *lab.robots[:3], "--release", fleet.second, "--allow-older", "--json", code=1)
     assert results(done) == {lab.robots[0]: "updated", away: "unreachable", lab.robots[2]: "updated"}
     lab.network.mend()
-    later = lab.cli("update", *lab.robots[:3], "--release", fleet.second, "--json")
+    later = lab.cli("update", *lab.robots[:3], "--release", fleet.second, "--allow-older", "--json")
     assert results(later) == {lab.robots[0]: "unchanged", away: "updated", lab.robots[2]: "unchanged"}

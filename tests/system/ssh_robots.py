@@ -263,7 +263,7 @@ def make_release(
     name = manifest.id_for(nameless, manifest.sums_of(fresh))
     (fresh / manifest.MANIFEST).write_text(Manifest(name, version, target).to_json())
     (fresh / manifest.SUMS).write_text(manifest.sums_of(fresh))
-    sign_release(fresh, keys.release_key())
+    sign_release(fresh, keys)
     store.add(fresh)
     return name
 

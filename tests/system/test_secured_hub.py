@@ -7,12 +7,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import psutil
 import pytest
+import zenoh
 
-from fullswarm.bus.zenoh_bus import ZenohBus
-from fullswarm.identity import Role
+from fullswarm.bus.zenoh_bus import ZenohBus, client_config, untyped
+from fullswarm.identity import Credentials, Role
+from fullswarm.identity.access import ACCESS_KEY
 from fullswarm.identity.authority import Authority, revoke
 from fullswarm.identity.folder import KeysFolder
 from fullswarm.keys import Keys
@@ -35,14 +39,14 @@ def folder(tmp_path: Path) -> KeysFolder:
 
 
 @pytest.fixture
-def hub(folder: KeysFolder) -> Iterator[tuple[str, Callable[[], str]]]:
-    """Endpoint of a hub's process, and what it has logged."""
+def hub(folder: KeysFolder) -> Iterator[tuple[str, int, Callable[[], str]]]:
+    """Endpoint and id of a hub's process, and what it has logged."""
     endpoint, log = f"tls/127.0.0.1:{free_port()}", folder.path.parent.parent / "hub.log"
     environment = {**os.environ, "FULLSWARM_IDENTITY": str(folder.path.parent)}
     command = [sys.executable, "-m", "fullswarm", "hub", "--listen", endpoint, "--swarm", "lab"]
     with log.open("wb") as sink:
         process = subprocess.Popen(command, env=environment, stderr=sink, stdout=sink)
-    yield endpoint, log.read_text
+    yield endpoint, process.pid, log.read_text
     process.terminate()
     process.wait(DEADLINE_S)
 
@@ -54,8 +58,10 @@ def wait(condition: Callable[[], bool], what: str, within_s: float = DEADLINE_S)
         assert time.monotonic() < end_s, what
 
 
-def test_a_revoked_robot_is_out_and_the_others_stay(folder: KeysFolder, hub: tuple[str, Callable[[], str]]) -> None:
-    endpoint, logged = hub
+def test_a_revoked_robot_is_out_and_the_others_stay(
+    folder: KeysFolder, hub: tuple[str, int, Callable[[], str]]
+) -> None:
+    endpoint, _, logged = hub
     mailbox = Mailbox()
     buses = {
         name: ZenohBus(
@@ -90,6 +96,38 @@ def test_a_revoked_robot_is_out_and_the_others_stay(folder: KeysFolder, hub: tup
     assert buses["r1"].connected()
     for bus in buses.values():
         bus.close()
+
+
+def test_a_message_of_100_megabytes_costs_the_hub_nothing(
+    folder: KeysFolder, hub: tuple[str, int, Callable[[], str]]
+) -> None:
+    endpoint, process, _ = hub
+    credentials = folder.credentials("r1", "robot")
+    with bare_session(endpoint, credentials) as session:
+        before = psutil.Process(process).memory_info().rss
+        most = before
+        session.put("lab/r1/reception/r1", bytes(100_000_000), congestion_control=zenoh.CongestionControl.BLOCK)
+        end_s = time.monotonic() + 2.0
+        while time.monotonic() < end_s:
+            most = max(most, psutil.Process(process).memory_info().rss)
+            time.sleep(0.01)
+        assert any(reply.ok for reply in session.get(ACCESS_KEY, timeout=5.0))
+    assert most - before < 40e6
+
+
+@contextmanager
+def bare_session(endpoint: str, credentials: Credentials) -> Iterator[zenoh.Session]:
+    """Open a bare session of an attacker who has a robot's certificate."""
+    session = None
+    while session is None:
+        try:
+            session = zenoh.open(client_config(endpoint, multicast=False, credentials=credentials))
+        except zenoh.ZError:  # the hub's process is still starting
+            time.sleep(0.1)
+    try:
+        yield session
+    finally:
+        untyped(session.close)
 
 
 def test_a_hub_without_keys_names_the_command(tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ def make_release(store: Store, keys: Keys, *, payload: Mapping[str, bytes] | Non
     name = id_for(nameless, manifest.sums_of(fresh))
     (fresh / "manifest.json").write_text(Manifest(name, "9.0", target).to_json())
     (fresh / "SHA256SUMS").write_text(manifest.sums_of(fresh))
-    sign_release(fresh, keys.release_key())
+    sign_release(fresh, keys)
     store.add(fresh)
     return name
 

@@ -18,7 +18,11 @@ MISTAKES = [
         3,
         "no hub answers (start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub)",
     ),
-    ("status --hub localhost:7447", 2, f"is not the address of a hub (write tcp/<host>:<port>, like {DEFAULT_HUB})"),
+    (
+        "status --hub localhost:7447",
+        2,
+        f"is not the address of a hub (write tcp/<host>:<port>, like {DEFAULT_HUB}, or tls/",
+    ),
     ("status --swarm a.b", 2, "'a.b' cannot name a swarm (use letters, digits"),
     ("request flocking --set goal", 2, "--set: 'goal' is not key=value (e.g. --set speed=0.3)"),
     ("request flocking --set goal=[1", 2, "--set goal: '[1' does not end (check brackets and quotes)"),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import json
 import socket
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -17,12 +19,13 @@ from websockets.asyncio.client import ClientConnection
 
 from fullswarm.bus import LocalBus
 from fullswarm.clock import MonotonicClock
-from fullswarm.messages import StopRequest
+from fullswarm.messages import BehaviourRequest, StopRequest
 from fullswarm.operator.console import server as console_server
-from fullswarm.operator.console.access import MOST_UNVERIFIED, Names, uvicorn_server
+from fullswarm.operator.console.access import MOST_NEW_EACH, MOST_UNVERIFIED, Names, uvicorn_server
 from fullswarm.operator.console.gateway import Gateway, Identity
 from fullswarm.operator.console.serve import RuntimeLoop
 from fullswarm.operator.console.server import Pages, Web
+from fullswarm.operator.console.tokens import Doorkeeper, TokenFile
 from fullswarm.runtime import Runtime
 from tests.unit.console_bench import KEYS
 
@@ -34,12 +37,14 @@ PATIENCE_S = 10.0
 class Served:
     """A console without a swarm, served by the running loop."""
 
-    def __init__(self, folder: Path, *, read_only: bool = False) -> None:
+    def __init__(self, folder: Path, *, read_only: bool = False, tokens: TokenFile | None = None) -> None:
         self.runtime = Runtime(MonotonicClock())
         self.bus = LocalBus(self.runtime.mailbox)
         self.stops: list[StopRequest] = []
         self.errors: list[BaseException] = []
+        self.requests: list[BehaviourRequest] = []
         self.bus.subscribe(KEYS.stop, StopRequest, self.stops.append)
+        self.bus.subscribe(KEYS.behaviour_request, BehaviourRequest, self.requests.append)
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.listener.setblocking(False)
         self.port = int(self.listener.getsockname()[1])
@@ -47,7 +52,7 @@ class Served:
         identity = Identity("base", "console@base:1", "9.9", read_only)
         self.gateway = Gateway(self.bus, KEYS, self.runtime, identity, lambda: 0.0)
         self.pump = RuntimeLoop(self.runtime, asyncio.get_running_loop(), self.errors.append)
-        self.web = Web(self.gateway, TOKEN, self.runtime.now_s, self.pump.wake)
+        self.web = Web(self.gateway, Doorkeeper(TOKEN, lambda: 0.0, file=tokens), self.runtime.now_s, self.pump.wake)
         self.server = uvicorn_server(self.web.app(Names("127.0.0.1", self.port), Pages(folder)))
 
     def connect(self, **options: Any) -> Any:
@@ -101,6 +106,8 @@ def run(folder: Path, story: Callable[[Served], Awaitable[None]], **options: Any
         served.pump.wake()
         try:
             async with asyncio.timeout(60.0):
+                while not served.server.started:
+                    await asyncio.sleep(0.0)
                 await story(served)
         finally:
             served.server.should_exit = True
@@ -319,6 +326,142 @@ def test_the_oldest_connection_without_a_request_makes_room_and_no_page_does(fol
             assert (await frame(page, "answer"))["ok"]
             for _, writer in silent:
                 writer.close()
+
+    run(folder, story)
+
+
+def test_operator_is_named_by_the_token_whatever_the_page_states(folder: Path, tmp_path: Path) -> None:
+    tokens = TokenFile(tmp_path / "tokens.json")
+    anna, ben = tokens.add("anna", "operator", 0.0), tokens.add("ben", "observer", 0.0)
+
+    async def story(served: Served) -> None:
+        async with served.connect() as line, served.connect() as other:
+            await line.send(json.dumps({**HELLO, "token": anna, "name": "ben"}))
+            hello = await frame(line)
+            assert (hello["operator"], hello["read_only"]) == ("anna", False)
+            await line.send(json.dumps({"t": "request", "ref": 1, "behaviour": "flocking"}))
+            assert (await frame(line, "answer"))["ok"]
+            assert [each.operator for each in served.requests] == ["anna"]
+            # An observer with the same secret of the page gets a session of its own, and sends nothing.
+            await other.send(json.dumps({**HELLO, "token": ben, "name": "anna"}))
+            hello = await frame(other)
+            assert (hello["operator"], hello["read_only"]) == ("ben", True)
+            for number, order in enumerate(("stop", "estop", "clear", "request")):
+                extra = {"behaviour": "flocking"} if order == "request" else {}
+                await other.send(json.dumps({"t": order, "ref": number, **extra}))
+                answer = await frame(other, "answer")
+                assert (answer["ok"], "observer" in answer["reason"]) == (False, True)
+            assert served.stops == []
+            assert len(served.requests) == 1
+
+    run(folder, story, tokens=tokens)
+
+
+def test_pass_opens_a_page_and_ends_with_its_token_within_a_second(folder: Path, tmp_path: Path) -> None:
+    tokens = TokenFile(tmp_path / "tokens.json")
+    anna = tokens.add("anna", "operator", 0.0)
+
+    async def story(served: Served) -> None:
+        async with served.connect() as line:
+            await line.send(json.dumps({**HELLO, "token": anna}))
+            given = (await frame(line, "pass"))["token"]
+            async with served.connect() as again:
+                await again.send(json.dumps({**HELLO, "token": given}))
+                assert (await frame(again))["operator"] == "anna"
+                began_s = time.monotonic()
+                TokenFile(tokens.path).revoke("anna")
+                assert [await closing(line), await closing(again)] == [4401, 4401]
+                assert time.monotonic() - began_s < 1.5
+        async with served.connect() as line:
+            await line.send(json.dumps({**HELLO, "token": given}))
+            assert await closing(line) == 4401
+
+    run(folder, story, tokens=tokens)
+
+
+def opened_from(address: str, port: int, count: int, first: bytes = b"") -> list[socket.socket]:
+    """Open connections from an address of this machine without giving the server's loop a turn."""
+    found = []
+    for _ in range(count):
+        each = socket.socket()
+        each.bind((address, 0))
+        each.connect(("127.0.0.1", port))
+        each.send(first)
+        found.append(each)
+    return found
+
+
+async def still_open(connections: list[socket.socket]) -> list[bool]:
+    """Tell which connections the server has not closed, once it has looked at all of them."""
+    await asyncio.sleep(0.3)
+    found = []
+    for each in connections:
+        each.setblocking(False)
+        try:
+            found.append(each.recv(65536, socket.MSG_PEEK) != b"")
+        except BlockingIOError:
+            found.append(True)
+        except ConnectionError:
+            found.append(False)
+    return found
+
+
+def test_only_the_newest_of_many_connections_at_once_are_served_and_each_address_has_its_own(folder: Path) -> None:
+    async def story(served: Served) -> None:
+        with contextlib.ExitStack() as stack:
+            theirs = opened_from("127.0.0.2", served.port, 200)
+            ours = opened_from("127.0.0.1", served.port, 1)
+            theirs += opened_from("127.0.0.2", served.port, 200)
+            for each in (*theirs, *ours):
+                stack.callback(each.close)
+            assert await still_open(ours) == [True]
+            assert await still_open(theirs) == [False] * (400 - MOST_NEW_EACH) + [True] * MOST_NEW_EACH
+
+    run(folder, story)
+
+
+def test_address_that_fills_the_pool_displaces_its_own_connections_only(folder: Path) -> None:
+    async def story(served: Served) -> None:
+        request = f"GET /page/app.js HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n\r\n".encode()
+        with contextlib.ExitStack() as stack:
+            ours = opened_from("127.0.0.1", served.port, 1)  # slow: it has sent nothing yet
+            stack.callback(ours[0].close)
+            pool = served.server.server_state.unverified
+            for _ in range(2 * MOST_UNVERIFIED // MOST_NEW_EACH):
+                for each in opened_from("127.0.0.2", served.port, MOST_NEW_EACH, request):
+                    stack.callback(each.close)
+                await asyncio.sleep(0.1)
+                assert len(pool) <= MOST_UNVERIFIED
+            assert len(pool) == MOST_UNVERIFIED
+            assert await still_open(ours) == [True]
+            # And it goes on to be a page, while they go on.
+            async with served.page() as line:
+                await line.send(json.dumps({"t": "stop", "ref": 1}))
+                assert (await frame(line, "answer"))["ok"]
+
+    run(folder, story)
+
+
+def test_without_file_descriptors_the_oldest_connection_without_the_token_makes_room(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def story(served: Served) -> None:
+        silent = opened_from("127.0.0.1", served.port, 3)
+        with contextlib.ExitStack() as stack:
+            for each in silent:
+                stack.callback(each.close)
+            assert await still_open(silent) == [True] * 3
+            failures = [OSError(errno.EMFILE, "Too many open files")]
+            accept = socket.socket.accept
+
+            def fail_once(listener: socket.socket) -> Any:
+                if failures:
+                    raise failures.pop()
+                return accept(listener)
+
+            monkeypatch.setattr(socket.socket, "accept", fail_once)
+            async with served.page():
+                assert await still_open(silent) == [False, True, True]
 
     run(folder, story)
 

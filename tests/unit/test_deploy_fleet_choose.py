@@ -73,8 +73,10 @@ def test_a_release_has_what_its_robots_agents_need(tmp_path: Path) -> None:
             ],
         }
     )
-    wanted = [extras_needed(each) for each in fleet.robot]
+    wanted = [extras_needed(each, fleet) for each in fleet.robot]
     assert wanted == [set(), {"mavlink"}, {"can"}]
+    secured = SwarmConfig.model_validate({"hub": {"endpoint": "tls/10.0.0.1:7447"}})
+    assert [extras_needed(each, secured) for each in fleet.robot] == [{"keys"}, {"keys", "mavlink"}, {"keys", "can"}]
     manifest = Manifest(RELEASE, "1.0", Target("rpi-arm64", "aarch64", "2.28", "3.11"), ("can",))
     facts = Facts(arch="aarch64", glibc="2.36", python="3.11.2")
     assert misfit(manifest, facts, wanted[0]) == ""

@@ -77,7 +77,12 @@ def test_a_robot_may_ask_for_nothing_outside_the_release(tmp_path: Path) -> None
     ("facts", "wanted", "health", "mend"),
     [
         (Facts(), "", "not installed", "fullswarm deploy r1"),
-        (Facts(protocol=1, robot="r2"), "", "another robot", "`host` in the fleet file, or deploy it under this name"),
+        (
+            Facts(protocol=1, robot="r2"),
+            "",
+            "another robot",
+            "`host` in the fleet file, or `fullswarm deploy --rename`",
+        ),
         (Facts(protocol=1, robot="r1"), "", "no release", "fullswarm deploy r1"),
         (Facts(protocol=1, robot="r1", current=RELEASE, pending=RELEASE), "", "pending", WAIT),
         (Facts(protocol=1, robot="r1", current=RELEASE), "", "silent", "fullswarm logs r1"),

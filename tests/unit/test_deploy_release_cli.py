@@ -79,6 +79,8 @@ def test_keys_are_shown_and_the_private_halves_are_not(tmp_path: Path) -> None:
     assert told.stdout.count("ssh-ed25519 ") == 2
     facts = json.loads(RUNNER.invoke(app, ["keys", "--json"]).stdout)
     assert facts["release"]["fingerprint"] in told.stdout
-    assert facts["allowed_signers"].startswith('fullswarm namespaces="fullswarm-release" ssh-ed25519 ')
+    assert facts["allowed_signers"].startswith(
+        'fullswarm namespaces="fullswarm-release,fullswarm-statement,fullswarm-support" ssh-ed25519 '
+    )
     private = (tmp_path / "keys" / "release_ed25519").read_text().splitlines()[1]
     assert private not in told.stdout + json.dumps(facts)

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from fullswarm.deploy.release import manifest
-from fullswarm.deploy.release.keys import Keys, sign_release, ssh_keygen, verify_release
+from fullswarm.deploy.release.keys import Keys, sign_release, verify_release
+from fullswarm.deploy.release.signatures import ssh_keygen
 from fullswarm.errors import ConfigError
 from tests.deploy_release import tiny_release
 
@@ -35,7 +36,7 @@ def test_the_sums_are_what_sha256sum_reads(release: Path) -> None:
 
 def test_the_same_release_has_the_same_signature(release: Path, keys: Keys) -> None:
     first = (release / manifest.SIGNATURE).read_bytes()
-    sign_release(release, keys.release_key())
+    sign_release(release, keys)
     assert (release / manifest.SIGNATURE).read_bytes() == first
 
 

@@ -227,3 +227,30 @@ def test_from_calculators_to_the_file_and_the_same_each_time(tmp_path: Path) -> 
     assert metrics["collisions"]["per_robot"] == {"a": 0.0, "b": 1.0}
     assert metrics["coverage"]["values"]["area_m2"] == pytest.approx(0.98 * 0.34 + 2 * math.pi * 0.17**2, rel=0.03)
     assert {each["reason"] for each in metrics.values()} == {"max_execution_s"}
+
+
+def test_whatever_fails_in_it_the_process_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(tmp_path)
+    good = PerformanceNode.document
+
+    def fails(_: PerformanceNode) -> dict[str, object]:
+        raise ArithmeticError("a number that nobody thought of")
+
+    monkeypatch.setattr(PerformanceNode, "document", fails)
+    bench.tell("work", total_m=1.0)
+    bench.runtime.run(3.5)
+    assert bench.node.failures == 3
+    assert "a number that nobody thought of" in bench.node.fault
+    monkeypatch.setattr(PerformanceNode, "document", good)
+    bench.runtime.run(1.5)
+    assert bench.node.fault == ""
+    assert stored(tmp_path)["metrics"]["work"]["values"] == {"total_m": 1.0}
+
+
+def test_invented_metrics_fill_no_memory() -> None:
+    bench = Bench(None)
+    for number in range(1000):
+        bench.tell(f"invented{number}", total_m=1.0)
+    bench.tell("work", total_m=1.0)
+    assert len(bench.node.summaries) <= 256
+    assert "work" in bench.node.summaries

@@ -283,7 +283,7 @@ def test_stops_and_orders_come_before_states_and_these_before_questions_each_in_
         mailbox.put_into(lane, seen.append, text, seen.append, always=text == "stop")
     mailbox.put(seen.append, "local")
     assert mailbox.drain() == 7
-    assert seen == ["local", "request", "stop", "state 1", "state 2", "read 1", "read 2"]
+    assert seen == ["request", "stop", "state 1", "state 2", "read 1", "read 2", "local"]
 
 
 @pytest.mark.parametrize("lane", [Lane.STATES, Lane.READS])

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from fullswarm.clock import wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.deploy.flash import fat
 from fullswarm.deploy.flash.fat import Volume
@@ -150,7 +151,7 @@ def boot_files(
     ConfigError
         The configuration is not sound, or the partition lacks what Raspberry Pi's first boot needs.
     """
-    from fullswarm.deploy.robot.support_package import support_package
+    from fullswarm.deploy.robot.support_package import robot_credentials, support_package
 
     boot = first_boot_of(robot, keys, around)
     kind = first_boot_kind(partition.names, partition.label, wanted)
@@ -168,7 +169,8 @@ def boot_files(
             "INSTANCE": boot.instance,
         }
     )
-    package = support_package(robot, around.config, keys.allowed_signers())
+    credentials = robot_credentials(robot, around.config, wall_time_s())
+    package = support_package(robot, around.config, keys.roots()[-1], credentials=credentials)
     large = {"kit.tar": package, "head.tar": shipment.head, "release.tar.gz": shipment.body}
     sums = "".join(f"{hashlib.sha256(content).hexdigest()}  {name}\n" for name, content in large.items())
     files = {

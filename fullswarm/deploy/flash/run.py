@@ -70,7 +70,7 @@ def _run(request: FlashRequest, keys: Keys) -> int:
     fat.check_tools()
     networks, country = wifi.gather(request.wifi_file, request.wifi, request.country, _ask_passphrase)
     around = Surroundings(config, networks, country, request.static)
-    extras = frozenset().union(*(extras_needed(each) for each in robots))
+    extras = frozenset().union(*(extras_needed(each, config) for each in robots))
     shipment = release_for(request.release, request.target, request.image, keys, extras)
     output.progress(f"release {shipment.id}: signature good, {len(shipment.body) / 1e6:.1f} MB on the card")
     hub = session.Target(request.hub or config.hub.endpoint, config.swarm)

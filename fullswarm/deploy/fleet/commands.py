@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 from rich.markup import escape
 
 from fullswarm import output
+from fullswarm.clock import wall_time_s
 from fullswarm.deploy.fleet.facts import Facts, clock_error_s, facts_of
 from fullswarm.deploy.fleet.login import Address, Login, confirm_host_keys, login_for, pick_robots
 from fullswarm.deploy.fleet.releases import Archives, Desired, extras_needed
@@ -31,7 +32,7 @@ from fullswarm.deploy.fleet.robot_update import (
     roll_back,
 )
 from fullswarm.deploy.fleet.rollout import AT_A_TIME, GOOD, Outcome, Plan, Rollout, Stage, UpdateState, perform_rollout
-from fullswarm.deploy.release.keys import Keys, public
+from fullswarm.deploy.release.keys import Keys, public, sign_release, verify_sums
 from fullswarm.deploy.release.store import Store
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable
@@ -169,6 +170,8 @@ class FleetRequest:
     accept_host_keys: bool = False
     dry_run: bool = False
     as_json: bool = False
+    allow_older: bool = False
+    rename: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,13 +214,18 @@ class Fleet:
 
 def deploy(order: FleetRequest) -> int:
     """Install what is missing and bring robots to a release, all at a time; return the exit code."""
-    from fullswarm.deploy.robot.support_package import check_hub, package_id, support_package
+    from fullswarm.deploy.robot.support_package import check_hub, package_id, robot_credentials, signed, support_package
 
     fleet = Fleet.of(order, own_keys=True)
     for each in fleet.robots:
         check_hub(each, fleet.config)
-    signers = fleet.keys.allowed_signers()
-    archives = {each.id: support_package(each, fleet.config, signers) for each in fleet.robots}
+    root, now_s = fleet.keys.roots()[-1], wall_time_s()
+    archives = {
+        each.id: support_package(each, fleet.config, root, credentials=robot_credentials(each, fleet.config, now_s))
+        for each in fleet.robots
+    }
+    if not order.dry_run:
+        archives = signed(archives, fleet.keys, rename=order.rename)
     packages = {robot: SupportPackage(archive, package_id(archive)) for robot, archive in archives.items()}
     at_once = Plan(canary=0, wave=1.0, stop_at=len(fleet.robots) + 1)
     return _run(order, fleet, at_once, packages)
@@ -229,6 +237,8 @@ def update(order: FleetRequest) -> int:
 
 
 def _run(order: FleetRequest, fleet: Fleet, plan: Plan, packages: dict[str, SupportPackage]) -> int:
+    if order.allow_older and not order.dry_run:
+        _sign_older(order, fleet.keys)
     state = UpdateState(Rollout.of(fleet.ids, plan))
     with tempfile.TemporaryDirectory(prefix="fullswarm-") as scratch:
         updater = RobotUpdater(
@@ -238,10 +248,11 @@ def _run(order: FleetRequest, fleet: Fleet, plan: Plan, packages: dict[str, Supp
             Archives(Path(scratch)),
             output.progress,
             fleet.keys.allowed_signers(),
+            fleet.keys.roots(),
             named=order.release,
             target=order.target,
             packages=packages,
-            needs={each.id: extras_needed(each) for each in fleet.robots},
+            needs={each.id: extras_needed(each, fleet.config) for each in fleet.robots},
             public_key=public(fleet.keys.fleet_key()),
             guard_s=order.guard_s,
             force=order.force,
@@ -256,6 +267,17 @@ def _run(order: FleetRequest, fleet: Fleet, plan: Plan, packages: dict[str, Supp
     if state.rollout.stopped:
         output.progress(f"stopped after {plan.stop_at} failures: the others keep what they run")
     return print_rows(_rows(fleet, state), as_json=order.as_json)
+
+
+def _sign_older(order: FleetRequest, keys: Keys) -> None:
+    """Sign the named release anew, so that robots accept it although they have verified a newer one."""
+    if order.release is None:
+        hint = "name the release: --release ID --allow-older"
+        raise ConfigError("which release may be older?", where="--allow-older", hint=hint)
+    folder = Store.default().get(order.release)
+    verify_sums(folder, keys.allowed_signers())
+    sign_release(folder, keys, older=True)
+    output.progress(f"{folder.name}: signed anew, so that robots may go back to it")
 
 
 async def _perform(
@@ -452,7 +474,7 @@ def _health(robot: str, facts: Facts) -> tuple[str, str, str]:
         return "not installed", "", deploy
     if facts.robot != robot:
         name = clean(facts.robot, 64) or "none"
-        return "another robot", f"its own name is {name}", "`host` in the fleet file, or deploy it under this name"
+        return "another robot", f"its own name is {name}", "`host` in the fleet file, or `fullswarm deploy --rename`"
     if not facts.current:
         return "no release", facts.rollback_reason, deploy
     if facts.pending:

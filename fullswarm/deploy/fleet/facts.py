@@ -62,6 +62,7 @@ class Facts(msgspec.Struct, frozen=True):
     protocol: int = 0
     robot: str = ""
     kit: str | None = ""
+    root_version: int | None = None  # of the root metadata; None: the installed tools verify no support package
     arch: str = ""
     glibc: str = ""
     python: str = ""

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import platformdirs
 
 from fullswarm import output
+from fullswarm.bus.endpoint import is_secured
 from fullswarm.deploy.fleet.remote import clean
 from fullswarm.deploy.release import manifest
 from fullswarm.deploy.release.manifest import Manifest
@@ -26,7 +27,7 @@ from fullswarm.errors import ConfigError, MessageError
 from fullswarm.files import replace_file
 
 if TYPE_CHECKING:
-    from fullswarm.config import RobotConfig
+    from fullswarm.config import RobotConfig, SwarmConfig
     from fullswarm.deploy.fleet.facts import Facts
     from fullswarm.deploy.release.store import Store
 
@@ -34,12 +35,13 @@ TARGET_OF = {"aarch64": "rpi-arm64", "x86_64": "x86_64"}
 GZIP_LEVEL = 6
 
 
-def extras_needed(robot: RobotConfig) -> frozenset[str]:
-    """Return the extras that a release must have for the robot's agent to start."""
+def extras_needed(robot: RobotConfig, config: SwarmConfig) -> frozenset[str]:
+    """Return the extras that a release must have for the robot's agent to start, and to renew its certificate."""
+    secured = frozenset({"keys"} if is_secured(config.hub.endpoint) else ())
     try:
-        return frozenset({make_of(robot.url).extra} & ONBOARD.keys())
+        return secured | frozenset({make_of(robot.url).extra} & ONBOARD.keys())
     except ConfigError:
-        return frozenset()  # its package is on board only: brought by `bundle --package`
+        return secured  # its package is on board only: brought by `bundle --package`
 
 
 def choose_release(

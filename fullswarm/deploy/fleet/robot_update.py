@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import gzip
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import gettempdir
@@ -22,7 +22,7 @@ from fullswarm.deploy.fleet.remote import Answer, LinkBroke, Remote, clean, stri
 from fullswarm.deploy.fleet.rollout import Outcome, Stage
 from fullswarm.deploy.release.keys import verify_release
 from fullswarm.deploy.release.manifest import Manifest
-from fullswarm.deploy.release.store import Store, head_archive
+from fullswarm.deploy.release.store import Store, head_archive, roots_archive
 from fullswarm.errors import FullswarmError, MessageError, Unreachable
 
 UNPACK = 'd=$(mktemp -d) && trap "rm -rf $d" EXIT && tar -xf - -C "$d" && sh "$d/install.sh"'
@@ -87,6 +87,15 @@ async def install_package(remote: Remote, archive: bytes, *, installed: bool) ->
     _check_answer(answer, remote, "the installer failed")
 
 
+async def send_roots(remote: Remote, roots: Sequence[str], facts: Facts) -> None:
+    """Send the versions of the root metadata that a robot lacks; each must be signed by keys that it trusts."""
+    have = facts.root_version
+    if have is None or have >= len(roots):
+        return
+    answer = await remote.program("trust", feed=roots_archive(roots[have:], have + 1))
+    _check_answer(answer, remote, "does not accept the new root metadata")
+
+
 async def ship_release(remote: Remote, release: Path, parcels: Archives, facts: Facts) -> None:
     """Copy a release to a robot, beside the one that it runs; after a broken link only what is still missing."""
     name = Manifest.read(release).id
@@ -98,6 +107,8 @@ async def ship_release(remote: Remote, release: Path, parcels: Archives, facts: 
     # A file that it shares with the release it runs may be damaged: then it requests that one, too.
     for _ in range(2):
         missing = missing_of(release, answer.out, remote.robot)
+        if not missing and name in facts.releases:
+            return  # it has it, and its statement is the new one
         archive = await parcels.of(release, missing, zstd=facts.zstd)
         answer = await remote.program("receive", name, feed=archive, within_s=RECEIVE_S)
         if answer.code != LACKS or not answer.out.strip():
@@ -273,6 +284,8 @@ class RobotUpdater:
         By robot: the extras that its release must have.
     signers
         Text of ``allowed_signers``: the keys whose releases may leave this machine.
+    roots
+        All versions of the root metadata: robots get those that they lack.
     public_key
         Of the fleet: added where the user's own key was needed to log in.
     guard_s
@@ -285,6 +298,7 @@ class RobotUpdater:
     parcels: Archives
     progress: Callable[[str], None]
     signers: str
+    roots: Sequence[str] = ()
     named: str | None = None
     target: str | None = None
     packages: Mapping[str, SupportPackage] = field(default_factory=dict)
@@ -364,13 +378,14 @@ class RobotUpdater:
             folder = self._choose(robot, facts)
             self.releases[robot], name = folder, Manifest.read(folder).id
             try:
+                await send_roots(remote, self.roots, facts)
                 facts = await self._install(remote, facts)
                 if facts.current == name and facts.settled:
                     return await self._current(remote, facts, name)
                 await self._verify(folder)
                 if name not in facts.releases:
                     self.progress(f"{robot}: shipping {name}")
-                    await ship_release(remote, folder, self.parcels, facts)
+                await ship_release(remote, folder, self.parcels, facts)
             finally:
                 self.shipped[robot] = self.shipped.get(robot, 0) + remote.sent_bytes
         self.progress(f"{robot}: has {name}")

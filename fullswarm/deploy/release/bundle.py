@@ -75,7 +75,7 @@ def make(request: BundleRequest, store: Store, keys: Keys, say: Say = lambda _: 
     MissingExtra
         uv is not installed.
     """
-    keys.release_key()  # before the work: without a key it would be for nothing
+    keys.signing_key()  # before the work: without a key it would be for nothing
     with tempfile.TemporaryDirectory() as scratch, staging(store) as fresh:
         work = Path(scratch)
         say(f"finding packages for {request.target.name}, Python {request.target.python} ...")
@@ -138,7 +138,7 @@ def seal(folder: Path, facts: Manifest, store: Store, keys: Keys) -> Path:
     named = replace(facts, id=manifest.id_for(facts, manifest.sums_of(folder, without=(manifest.MANIFEST,))))
     (folder / manifest.MANIFEST).write_text(named.to_json(), "utf-8")
     (folder / manifest.SUMS).write_text(manifest.sums_of(folder), "utf-8")
-    sign_release(folder, keys.release_key())
+    sign_release(folder, keys)
     return store.add(folder)
 
 

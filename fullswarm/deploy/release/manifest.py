@@ -25,6 +25,8 @@ ROBOT_PROTOCOL = 1
 _ID = re.compile(r"[0-9A-Za-z][0-9A-Za-z.+]*-[0-9a-f]{12}")
 SUMS = "SHA256SUMS"
 SIGNATURE = "SHA256SUMS.sig"
+STATEMENT = "STATEMENT"
+"""Number, expiry and checksums of the release, signed; not among the checksums, because it may be signed anew."""
 _MOST_NAMED = 3
 
 
@@ -150,7 +152,7 @@ def files_of(folder: Path) -> Iterator[str]:
             if not relative.isprintable() or "\\" in relative:
                 raise ConfigError("a file's name may not hold control characters or backslashes", where=repr(relative))
             found.append(relative)
-    yield from sorted((each for each in found if each not in (SUMS, SIGNATURE)), key=os.fsencode)
+    yield from sorted((each for each in found if each not in (SUMS, SIGNATURE, STATEMENT)), key=os.fsencode)
 
 
 def digest_of(path: Path) -> str:

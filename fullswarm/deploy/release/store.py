@@ -12,7 +12,7 @@ import shutil
 import tarfile
 import time
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from fullswarm.errors import ConfigError, did_you_mean
 
 ENVIRONMENT = "FULLSWARM_RELEASES"
 """Names another folder for the releases."""
-HEAD = (manifest.MANIFEST, manifest.SUMS, manifest.SIGNATURE)
+HEAD = (manifest.MANIFEST, manifest.SUMS, manifest.SIGNATURE, manifest.STATEMENT)
 """The files by which a robot verifies a release before it accepts any other."""
 _GZIP = 31  # window bits that make zlib write a gzip header, without a name or a time
 _BLOCK = 1 << 16
@@ -111,8 +111,17 @@ def _share(fresh: Path, before: Path) -> None:
 
 # ---------------------------------------------------------------- archives
 def head_archive(folder: Path) -> bytes:
-    """Return the tar of the three files that describe a release, for ``fullswarm-robot want``."""
+    """Return the tar of the files that describe a release, for ``fullswarm-robot want``."""
     return b"".join(plain_archive(folder, HEAD))
+
+
+def roots_archive(documents: Sequence[str], first: int) -> bytes:
+    """Return the tar of versions of the root metadata from `first` on, for ``fullswarm-robot trust``."""
+    blocks = []
+    for number, document in enumerate(documents, first):
+        data = document.encode("ascii")
+        blocks += [_header(f"{number}.root", len(data), runs=False), data, bytes(-len(data) % tarfile.BLOCKSIZE)]
+    return b"".join((*blocks, bytes(2 * tarfile.BLOCKSIZE)))
 
 
 def gzipped_archive(folder: Path, paths: Iterable[str], level: int = 6) -> Iterator[bytes]:

@@ -5,6 +5,9 @@
 #
 # An agent that ran before and does not start with new settings gets its old ones back, and this exits with 1. With
 # --settings-stay (a card's first boot, which switches the release next) the new ones stay even if the agent fails.
+#
+# Run directly, by root or from a card, it makes the robot trust the keys in `root`. With --verified (fullswarm-robot has
+# verified the package with the keys that the robot trusts) those stay.
 set -eu
 LC_ALL=C
 export LC_ALL
@@ -15,10 +18,15 @@ SYSTEMCTL=${FULLSWARM_SYSTEMCTL:-systemctl}
 # Holds the line of a file once every program that reads the file has been notified.
 NOTIFIED=$ROOT/opt/fullswarm/bin/kit.sums
 AGENT=fullswarm-agent.service
+IDENTITY=etc/fullswarm/identity
 SETTINGS="etc/systemd/system/$AGENT etc/fullswarm/fleet.toml etc/fullswarm/robot.env"
+SETTINGS="$SETTINGS $IDENTITY/authority.pem $IDENTITY/certificate.pem $IDENTITY/key.pem"
 START_S=60
-stay=''
-[ "${1-}" != --settings-stay ] || stay=yes
+stay='' verified=''
+case ${1-} in
+--settings-stay) stay=yes ;;
+--verified) verified=yes ;;
+esac
 cd "$(dirname "$(readlink -f "$0")")"
 trap '' PIPE HUP # a broken link must not end the installation
 
@@ -39,8 +47,13 @@ mode_of() {
     case $1 in
     opt/fullswarm/bin/fullswarm-robot) printf 0755 ;;
     etc/sudoers.d/*) printf 0440 ;;
+    "$IDENTITY"/*) printf 0600 ;;
     *) printf 0644 ;;
     esac
+}
+
+owner_of() { # PATH: the agent reads its private key, and no other user does
+    case $1 in "$IDENTITY"/*) [ -n "$ROOT" ] || printf fullswarm ;; esac
 }
 
 unmark() { # PATH: before it changes, so that a run after a killed one notifies what that one did not
@@ -66,13 +79,14 @@ put_back() { # the kept settings; fails when there are none
 
 put() { # PATH LINE: copies one file to its place in one step, unless it is there
     to=$ROOT/$1
-    mode=$(mode_of "$1")
-    if ! cmp -s "files/$1" "$to" || [ "$(stat -c 0%a "$to")" != "$mode" ]; then
+    mode=$(mode_of "$1") owner=$(owner_of "$1")
+    if ! cmp -s "files/$1" "$to" || [ "$(stat -c 0%a "$to")" != "$mode" ] ||
+        { [ -n "$owner" ] && [ "$(stat -c %U "$to")" != "$owner" ]; }; then
         unmark "$1"
         keep "$1"
         # A name with a dot in it: neither sudo nor udev nor systemd reads a half-written one.
-        mkdir -p "$(dirname "$to")" && cp "files/$1" "$to.new~" && chmod "$mode" "$to.new~" &&
-            mv -fT "$to.new~" "$to" || cannot "$to"
+        mkdir -p "$(dirname "$to")" && (umask 077 && cp "files/$1" "$to.new~") && chmod "$mode" "$to.new~" &&
+            { [ -z "$owner" ] || chown "$owner:" "$to.new~"; } && mv -fT "$to.new~" "$to" || cannot "$to"
         changed "$1"
     fi
     if grep -qxF "$2" "$NOTIFIED" 2> /dev/null; then
@@ -100,6 +114,18 @@ make_user() { # the agent's own, with the groups of ports and gamepads that this
             agent=yes
         fi
     done
+}
+
+put_trust() { # before all else: without it, the installed tools accept nothing
+    trust=$ROOT/opt/fullswarm/trust
+    [ -z "$verified" ] || return 0
+    [ -z "$stay" ] || rm -f "$trust/newest-release" "$trust/newest-support" # whoever has the card may go back
+    if cmp -s root "$trust/root"; then
+        return 0
+    fi
+    mkdir -p "$trust" && cp root "$trust/root.new~" && rm -f "$trust/newest-release" "$trust/newest-support" &&
+        mv -fT "$trust/root.new~" "$trust/root" || cannot "$trust/root"
+    changed "trusted keys"
 }
 
 reload_sshd() { # connections that are open stay; a server that rejects our lines must not stay down
@@ -134,6 +160,7 @@ if [ -e "$ROOT/opt/fullswarm/current" ] && [ -z "$stay" ] && "$SYSTEMCTL" is-act
     running=yes
 fi
 mkdir -p "$ROOT/opt/fullswarm/releases" "$ROOT/opt/fullswarm/bin"
+put_trust
 [ -n "$ROOT" ] || make_user
 while read -r digest path; do
     case $path in
@@ -191,6 +218,8 @@ fi
 for path in $SETTINGS; do
     rm -f "$ROOT/$path.was~"
 done
+
+rm -f "$ROOT/etc/fullswarm/allowed_signers" 2> /dev/null || : # of older tools: nothing reads it any more
 
 # Last, so that this file is there only when all others are.
 if ! cmp -s kit.sums "$NOTIFIED"; then

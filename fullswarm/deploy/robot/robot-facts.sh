@@ -99,6 +99,7 @@ facts() { # one JSON object
 {
  "protocol": $PROTOCOL,
  "kit": $(kit_json),
+ "root_version": $(number "$(field "$TRUST/root" version 2>/dev/null)"),
  "robot": $(text "$robot"),
  "hostname": $(text "$(uname -n)"),
  "model": $(text "$(cat /proc/device-tree/model 2>/dev/null | tr -d '\000')"),

@@ -2,7 +2,11 @@
 # machine are known; nothing gets the name of a release before every file of it has the digest that was signed.
 # shellcheck shell=sh disable=SC2154
 
-MOST_HEAD=67108864 # bytes of manifest, sums and signature together: far more than any release needs
+# shellcheck source=robot-trust.sh
+. "$here/robot-trust.sh"
+
+HEAD_FILES="manifest.json SHA256SUMS SHA256SUMS.sig STATEMENT"
+MOST_HEAD=67108864 # bytes of these together: far more than any release needs
 SPARE_KB=65536     # what must stay free for the journal and the latched e-stop
 FLOOR_KB=16384     # below this a shipment that failed is removed: the disk is full
 
@@ -20,13 +24,6 @@ private() { # a folder of root's in memory for this run
     mkdir -p "$RUN" && chmod 700 "$RUN" && work=$(mktemp -d "$RUN/$1.XXXXXX") || fail "cannot write $RUN"
     trap 'rm -rf "$work"' EXIT
     trap 'exit 1' HUP INT TERM
-}
-
-check_signature() { # FOLDER
-    [ -s "$ETC/allowed_signers" ] || refuse "$ETC/allowed_signers is empty: install the support package again"
-    ssh-keygen -Y verify -f "$ETC/allowed_signers" -I fullswarm -n fullswarm-release \
-        -s "$1/SHA256SUMS.sig" < "$1/SHA256SUMS" > /dev/null 2> "$work/why" ||
-        refuse "the signature is not one that this robot trusts ($(tr '\n' ' ' < "$work/why"))"
 }
 
 paths() { # SUMS: the paths it lists
@@ -114,7 +111,7 @@ link_from() { # RELEASE FOLDER: files that RELEASE has as well, as hard links
     (cd "$1" && xargs -r -d '\n' cp -l --parents -t "$2" 2>/dev/null < "$work/same") || :
 }
 
-want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig; stdout: the paths that are still missing
+want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig, STATEMENT; stdout: the paths that are still missing
     need_id "${1:-}"
     id=$1 near='' bytes=0
     shift
@@ -131,16 +128,21 @@ want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig; stdout: the 
     lock ship 5
     private want
     head -c "$MOST_HEAD" | unpack | head -c "$MOST_HEAD" > "$work/head.tar"
-    for name in manifest.json SHA256SUMS SHA256SUMS.sig; do # one by one to stdout: no path in the tar is ever used
+    for name in $HEAD_FILES; do # one by one to stdout: no path in the tar is ever used
         tar -xOf "$work/head.tar" "$name" > "$work/$name" 2>/dev/null && [ -s "$work/$name" ] ||
             refuse "the tar has no $name"
     done
-    check_signature "$work"
+    check_release "$work" "$id"
     check_sums "$work/SHA256SUMS"
     check_manifest "$work" "$id"
     check_machine "$work/manifest.json"
-    if [ -d "$RELEASES/$id" ]; then
-        cat > /dev/null
+    remember release
+    [ "$(field "$work/text" older)" != yes ] || note "goes back to $id, as was asked for and signed by $signer"
+    if [ -d "$RELEASES/$id" ]; then # it may be signed anew
+        cmp -s "$work/STATEMENT" "$RELEASES/$id/STATEMENT" || {
+            cp "$work/STATEMENT" "$RELEASES/$id/.STATEMENT" && settle "$RELEASES/$id/.STATEMENT" &&
+                mv -fT "$RELEASES/$id/.STATEMENT" "$RELEASES/$id/STATEMENT"
+        } || fail "cannot write $RELEASES/$id"
         return 0
     fi
     incoming=$RELEASES/.incoming-$id
@@ -162,7 +164,7 @@ want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig; stdout: the 
             refuse "the disk is too full: $((have_kb / 1024)) MB free, $(((need_kb + SPARE_KB) / 1024)) MB needed"
         mkdir -m 755 "$incoming" || fail "cannot write $RELEASES"
     fi
-    for name in manifest.json SHA256SUMS SHA256SUMS.sig; do
+    for name in $HEAD_FILES; do
         cp "$work/$name" "$incoming/.$name" && mv -fT "$incoming/.$name" "$incoming/$name" ||
             fail "cannot write $incoming"
     done
@@ -199,7 +201,7 @@ receive() { # stdin: tar of missing files; stdout: what is still missing (exit 1
     lock ship 5
     private receive
     [ -f "$incoming/SHA256SUMS" ] || fail "$id is unknown: run \`want\` first"
-    check_signature "$incoming"
+    check_release "$incoming" "$id"
     missing "$incoming" > "$work/asked"
     mkfifo "$work/copy"
     { # opened once, and read to its end: a writer without a reader, or the reverse, would wait for ever
@@ -231,7 +233,7 @@ receive() { # stdin: tar of missing files; stdout: what is still missing (exit 1
 }
 
 finish() { # FOLDER ID: nothing extra, plain modes, on the disk; then it gets its name
-    { paths "$1/SHA256SUMS"; printf 'SHA256SUMS\nSHA256SUMS.sig\n'; } | sort > "$work/wanted"
+    { paths "$1/SHA256SUMS"; printf 'SHA256SUMS\nSHA256SUMS.sig\nSTATEMENT\n'; } | sort > "$work/wanted"
     (cd "$1" && find . -type f | cut -c3-) | sort | comm -13 "$work/wanted" - > "$work/extra"
     (cd "$1" && xargs -r -d '\n' rm -f < "$work/extra")
     find "$1" -mindepth 1 -type d -empty -delete

@@ -19,6 +19,8 @@ The server knows no robots, and serves the runtime of the nodes on its own loop,
 
 ``frames.py``    the frames that a page may send, and their checks
 ``server.py``    the web application: files, WebSockets, frames that wait for a slow page
+``tokens.py``    tokens: whose they are, what they allow, how long they count
+``tokens.py``    tokens: whose they are, what they allow, how long they count
 ``access.py``    access control: Host, Origin, token, limits of unverified connections
 ``serve.py``     the loop, start and end; opens the page in a browser
 

@@ -4,19 +4,20 @@ A page of any other origin can make a browser send requests here, and open WebSo
 page does not know the token, its Origin is not this server's, and a host name that it points here is refused.
 
 Anybody who reaches the port can open connections and send nothing, or half a request. Each connection is unverified
-until its page has sent the right token. Unverified connections have a small pool of their own, in which the oldest
-is closed for the newest: they cannot use up what operators need, and an operator who connects is always accepted.
+until its page has sent the right token. Unverified connections have a small pool of their own, in which the oldest of
+the address with the most is closed for a new one: they cannot use up what operators need, and an operator who connects
+is accepted.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
 import ipaddress
 import re
 import socket
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -103,11 +104,6 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def same_token(given: str, wanted: str) -> bool:
-    """Compare two tokens in constant time."""
-    return hmac.compare_digest(given.encode(), wanted.encode())
-
-
 class Guard:
     """Refuses requests under other host names and from other origins; adds the security headers."""
 
@@ -180,8 +176,11 @@ MOST_UNVERIFIED = 128
 """A browser that loads the page has about six."""
 HEADER_S = 3.0
 """Time limit for the first complete request of a connection."""
-ACCEPTS = 64
-"""Connections accepted per turn of the loop: with the pool they stay far below 1024 open files, a common limit."""
+ACCEPTS = 1024
+"""Connections accepted per turn of the loop."""
+MOST_NEW, MOST_NEW_EACH = 64, 32
+"""Connections that are served of those accepted in a turn, of all addresses and of each: with the pool they stay far
+below 1024 open files, a common limit."""
 BACKLOG = 4096
 """Connections that the system keeps waiting; beyond it a browser tries again only after 1 s."""
 END_S = 0.4
@@ -191,7 +190,10 @@ END_S = 0.4
 class Admission:
     """One connection in the pool, from its opening until it sends the token or ends."""
 
-    def __init__(self, pool: Unverified, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, pool: Unverified, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop, address: str
+    ) -> None:
+        self.address = address
         self._pool, self._transport = pool, transport
         self._timer = loop.call_later(pool.header_s, self.cut)
 
@@ -211,41 +213,81 @@ class Admission:
         self._transport.abort()
 
 
-class Unverified:
-    """The pool of connections that have not sent the token, at most `MOST_UNVERIFIED`."""
+class Share:
+    """The connections of one address in the pool, the oldest first, as in all dictionaries."""
 
     def __init__(self) -> None:
-        self.header_s = HEADER_S
-        self._silent: dict[Admission, None] = {}  # the oldest first, as all dictionaries
-        self._requested: dict[Admission, None] = {}
+        self.silent: dict[Admission, None] = {}
+        self.requested: dict[Admission, None] = {}
 
     def __len__(self) -> int:
         """Count them."""
-        return len(self._silent) + len(self._requested)
+        return len(self.silent) + len(self.requested)
+
+
+class Unverified:
+    """The pool of connections that have not sent the token, at most `MOST_UNVERIFIED`.
+
+    When it is full, the address with the most connections loses one: the oldest without a complete request, else the
+    oldest. So an address can displace its own connections only, and those of addresses that have as many.
+    """
+
+    def __init__(self) -> None:
+        self.header_s = HEADER_S
+        self._shares: dict[str, Share] = {}
+        self._count = 0
+
+    def __len__(self) -> int:
+        """Count them."""
+        return self._count
 
     def enter(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> Admission:
-        """Take a new connection; the oldest without a complete request, else the oldest, is closed for it."""
-        while len(self) >= MOST_UNVERIFIED:
-            next(iter(self._silent or self._requested)).cut()
-        admission = Admission(self, transport, loop)
-        self._silent[admission] = None
+        """Take a new connection, and make room for it."""
+        while self._count >= MOST_UNVERIFIED:
+            self.cut_one()
+        admission = Admission(self, transport, loop, _network(transport.get_extra_info("peername")))
+        self._shares.setdefault(admission.address, Share()).silent[admission] = None
+        self._count += 1
         return admission
 
+    def cut_one(self) -> None:
+        """Close the connection that is to go first, if there is one."""
+        if self._shares:
+            largest = max(self._shares.values(), key=len)
+            next(iter(largest.silent or largest.requested)).cut()
+
     def requested(self, admission: Admission) -> None:
-        """Move a connection behind the others that sent a complete request."""
-        if admission in self._silent:
-            del self._silent[admission]
-            self._requested[admission] = None
+        """Move a connection behind the others of its address that sent a complete request."""
+        share = self._shares.get(admission.address)
+        if share is not None and admission in share.silent:
+            del share.silent[admission]
+            share.requested[admission] = None
 
     def remove(self, admission: Admission) -> None:
         """Forget a connection; doing so twice is fine."""
-        self._silent.pop(admission, None)
-        self._requested.pop(admission, None)
+        share = self._shares.get(admission.address)
+        if share is None:
+            return
+        before = len(share)
+        share.silent.pop(admission, None)
+        share.requested.pop(admission, None)
+        self._count -= before - len(share)
+        if not len(share):
+            del self._shares[admission.address]
 
     def cut(self) -> None:
         """End all of them."""
-        for admission in (*self._silent, *self._requested):
-            admission.cut()
+        for share in tuple(self._shares.values()):
+            for admission in (*share.silent, *share.requested):
+                admission.cut()
+
+
+def _network(peer: object) -> str:
+    """Return the address of a connection's other end; of IPv6 its network of 64 bits, of which a host has all."""
+    address = str(peer[0]) if isinstance(peer, tuple) and peer else ""
+    if ":" not in address or address.startswith("::ffff:"):
+        return address
+    return ":".join(ipaddress.IPv6Address(address.partition("%")[0]).exploded.split(":")[:4])
 
 
 class State(ServerState):
@@ -288,6 +330,67 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
         self.app_state["admission"].leave()
 
 
+class Gate:
+    """Accepts the connections of a listening socket, and serves only the newest ones of those that came at once.
+
+    Closing a connection costs a hundredth of serving it, so a stream of connections from one address can neither fill
+    the system's queue nor keep the loop busy.
+    """
+
+    def __init__(
+        self,
+        listener: socket.socket,
+        loop: asyncio.AbstractEventLoop,
+        protocol: Callable[[], asyncio.Protocol],
+        pool: Unverified,
+    ) -> None:
+        self._listener, self._loop, self._protocol, self._pool = listener, loop, protocol, pool
+        self._tasks: set[asyncio.Task[None]] = set()
+        listener.setblocking(False)
+        listener.listen(BACKLOG)
+        loop.add_reader(listener, self._accept)
+
+    def close(self) -> None:
+        """Accept no more."""
+        self._loop.remove_reader(self._listener)
+        for task in self._tasks:
+            task.cancel()
+
+    def _accept(self) -> None:
+        newest: dict[str, deque[socket.socket]] = {}
+        count = 0
+        for _ in range(ACCEPTS):
+            try:
+                connection, peer = self._listener.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                break
+            except OSError:  # no file descriptor is left
+                self._pool.cut_one()
+                break
+            own = newest.setdefault(_network(peer), deque())
+            own.append(connection)
+            count += 1
+            if len(own) > MOST_NEW_EACH or count > MOST_NEW:
+                fullest = own if len(own) > MOST_NEW_EACH else max(newest.values(), key=len)
+                fullest.popleft().close()
+                count -= 1
+        for own in newest.values():
+            for connection in own:
+                task = self._loop.create_task(self._serve(connection))
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+
+    async def _serve(self, connection: socket.socket) -> None:
+        try:
+            connection.setblocking(False)
+            await self._loop.connect_accepted_socket(self._protocol, connection)
+        except OSError:  # closed by its other end meanwhile
+            connection.close()
+        except BaseException:
+            connection.close()
+            raise
+
+
 class Server(uvicorn.Server):
     """Ends soon, and leaves the signals alone: a second Ctrl-C must end the process, SIGTERM end it in order."""
 
@@ -296,6 +399,7 @@ class Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
         self.server_state = State()
+        self._gates: list[Gate] = []
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -303,13 +407,20 @@ class Server(uvicorn.Server):
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen; asyncio has one number for the queue of the system and for how many it takes out of it at once."""
-        await super().startup(sockets)
-        for each in sockets or ():
-            each.listen(BACKLOG)
+        """Listen on bound sockets; uvicorn's own way of it would serve whatever connects, one after the other."""
+        await self.lifespan.startup()
+        self.servers: list[asyncio.Server] = []
+        loop = asyncio.get_running_loop()
+        self._gates = [Gate(each, loop, self._protocol, self.server_state.unverified) for each in sockets or ()]
+        self.started = True
+
+    def _protocol(self) -> asyncio.Protocol:
+        return HttpProtocol(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Close what pages have open, and cut what does not close; connections without the token are cut at once."""
+        for gate in self._gates:
+            gate.close()
         self.server_state.unverified.cut()
         late = asyncio.get_running_loop().call_later(END_S, self._cut)
         try:
@@ -337,6 +448,5 @@ def uvicorn_server(app: Starlette) -> Server:
         access_log=False,
         proxy_headers=False,
         server_header=False,
-        backlog=ACCEPTS,
     )
     return Server(config)

@@ -129,10 +129,20 @@ class Gateway:
             self._timers.append(scheduler.every(DESK_S, self._tick_desk))
 
     # ---------------------------------------------------------------- pages
-    def join(self, key: str, name: str, listener: Listener) -> OperatorSession:
-        """Add a page to its session, a new one or the one it left, and send it all there is."""
+    def join(
+        self, key: str, name: str, listener: Listener, *, named: bool = False, observer: bool = False
+    ) -> OperatorSession:
+        """Add a page to its session, a new one or the one it left, and send it all there is.
+
+        Parameters
+        ----------
+        named : the operator's name comes from the token; else the page states it, and it is not taken for the name
+        observer : the page shows everything and sends nothing
+        """
         host = self._identity.host
         title = f"console {name}@{host} {key[:4]}" if name else f"console@{host} {key[:4]}"
+        if named:
+            title, key = name, f"{name}/{'observer' if observer else 'operator'}/{key}"
         session = self._sessions.get(key)
         if session is not None and session.name != title and not session.listeners:
             self._close_session(key)
@@ -141,7 +151,7 @@ class Gateway:
             self._make_room()
             self._opened += 1
             source = f"{self._identity.process}/{self._opened}"
-            session = self._sessions[key] = OperatorSession(self._context, key, source, title)
+            session = self._sessions[key] = OperatorSession(self._context, key, source, title, observer=observer)
         for kind, make in self._initial_frames(session).items():
             with self._drawing(kind):
                 if (frame := make()) is not None:
@@ -219,7 +229,7 @@ class Gateway:
             "t": "hello",
             "swarm": self._keys.swarm,
             "version": self._identity.version,
-            "read_only": self._identity.read_only,
+            "read_only": self._identity.read_only or session.observer,
             "operator": session.name,
             "icons": dict(self._identity.icons),
         }

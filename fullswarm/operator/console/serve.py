@@ -29,6 +29,7 @@ from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
 from fullswarm.keys import Keys
+from fullswarm.operator.console.tokens import Doorkeeper, TokenFile, check_private
 from fullswarm.operator.session import Target
 from fullswarm.runtime import Runtime, Scheduler
 
@@ -57,6 +58,8 @@ class Options:
     read_only: bool = False
     allow_hosts: tuple[str, ...] = ()
     token_file: Path | None = None
+    tokens: Path | None = None  # file with the tokens of named operators; None: one token for all
+    operator: str = ""  # whose the one token is; empty: each page may state a name
     insecure_network: bool = False
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
     study: Path | None = None  # folder of a trial of a study
@@ -80,10 +83,14 @@ def serve(target: Target, options: Options, on_start: OnStart) -> int:
     except ImportError as error:
         raise MissingExtra(f"the console needs {error.name}", hint="pip install 'fullswarm[console]'") from error
     host, port = parse_listen(options.listen, options.insecure_network)
-    token = read_token(options.token_file)
+    token, file = ("", TokenFile(options.tokens)) if options.tokens else (read_token(options.token_file), None)
+    if file is not None and not file.tokens():
+        hint = "make one: fullswarm console tokens add NAME"
+        raise ConfigError("no operator has a token", where=str(options.tokens), hint=hint)
+    doorkeeper = Doorkeeper(token, wall_time_s, name=options.operator, file=file)
     keys = Keys(target.swarm)
     with contextlib.closing(_bind(host, port, options.listen)) as listener:
-        return asyncio.run(_serve(listener, host, token, keys, target, options, on_start))
+        return asyncio.run(_serve(listener, host, (token, doorkeeper), keys, target, options, on_start))
 
 
 def parse_listen(text: str, insecure_network: bool) -> tuple[str, int]:
@@ -115,11 +122,12 @@ def read_token(path: Path | None) -> str:
     Raises
     ------
     ConfigError
-        The file cannot be read, or the token is too short.
+        The file cannot be read, others can read it, or the token is too short.
     """
     where, token = TOKEN, os.environ.get(TOKEN, "")
     if path is not None:
         where = str(path)
+        check_private(path)
         try:
             token = path.read_text(encoding="utf-8").strip()
         except (OSError, UnicodeDecodeError) as error:
@@ -154,7 +162,7 @@ def _bind(host: str, port: int, listen: str) -> socket.socket:
 async def _serve(
     listener: socket.socket,
     host: str,
-    token: str,
+    access: tuple[str, Doorkeeper],
     keys: Keys,
     target: Target,
     options: Options,
@@ -164,6 +172,7 @@ async def _serve(
     from fullswarm.operator.console.gateway import Gateway, Identity
     from fullswarm.operator.console.server import Pages, Web
 
+    token, doorkeeper = access
     loop = asyncio.get_running_loop()
     runtime = Runtime(MonotonicClock())
     port = listener.getsockname()[1]
@@ -185,7 +194,7 @@ async def _serve(
             server.should_exit = True
 
         runtime_loop = RuntimeLoop(runtime, loop, fail)
-        web = Web(gateway, token, runtime.now_s, runtime_loop.wake)
+        web = Web(gateway, doorkeeper, runtime.now_s, runtime_loop.wake)
         server = uvicorn_server(web.app(names, Pages()))
         ended_by = _end_on_signals(loop, server)
         address = url(host, port, token, options.allow_hosts)
@@ -220,13 +229,16 @@ def _end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> 
 
 
 def url(host: str, port: int, token: str, allow_hosts: Iterable[str] = ()) -> str:
-    """Return the page's address, by a name that is accepted; the fragment behind # never leaves the browser."""
+    """Return the page's address, by a name that is accepted; the fragment behind # never leaves the browser.
+
+    Without a token each operator puts their own behind it.
+    """
     called = _called(host, [name.strip() for name in allow_hosts if name.strip()])
     if _is_ipv6(called):
         called = f"[{called}]:{port}"
     elif ":" not in called:  # else it was allowed with a port of its own
         called = f"{called}:{port}"
-    return f"http://{called}/#token={token}"
+    return f"http://{called}/" + (f"#token={token}" if token else "")
 
 
 def _called(host: str, allowed: list[str]) -> str:

@@ -18,14 +18,17 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from fullswarm.operator.console import frames
-from fullswarm.operator.console.access import Bucket, Guard, Names, same_token
+from fullswarm.operator.console.access import Bucket, Guard, Names
 from fullswarm.operator.console.frames import MAX_BYTES
 from fullswarm.operator.console.gateway import Gateway
 from fullswarm.operator.console.sessions import OperatorSession
+from fullswarm.operator.console.tokens import RENEW_S, Admitted, Doorkeeper
 
 MOST_CLIENTS = 16
 HELLO_S = 3.0
 RATE_HZ, BURST = 60.0, 120.0
+CHECK_S = 0.5
+"""How often it is checked that the token of an open page still counts."""
 STALLED_S = 5.0
 """A page that takes nothing for this long is closed, or too slow."""
 
@@ -43,7 +46,7 @@ class Web:
     """
 
     gateway: Gateway
-    token: str
+    doorkeeper: Doorkeeper
     now_s: Callable[[], float]
     wake: Callable[[], None]
     hello_s: float = HELLO_S
@@ -63,8 +66,8 @@ class Web:
         """Serve one page until it is closed."""
         await websocket.accept()
         with contextlib.suppress(WebSocketDisconnect):
-            hello = await self._greeting(websocket)
-            if hello is None:
+            greeting = await self._greeting(websocket)
+            if greeting is None:
                 return
             # Counted only now: a client without the token must not use up the connections.
             if self.clients >= MOST_CLIENTS:
@@ -73,30 +76,33 @@ class Web:
             websocket.state.admission.leave()
             self.clients += 1
             try:
-                await self._serve(websocket, hello)
+                await self._serve(websocket, *greeting)
             finally:
                 self.clients -= 1
 
-    async def _greeting(self, websocket: WebSocket) -> frames.Hello | None:
+    async def _greeting(self, websocket: WebSocket) -> tuple[frames.Hello, Admitted] | None:
         try:
             text = await asyncio.wait_for(_receive(websocket), self.hello_s)
         except TimeoutError:
             await _close(websocket, NO_HELLO, "no hello")
             return None
         hello = frames.read_hello(text) if len(text) <= MAX_BYTES else None
-        if hello is None or not same_token(hello.token, self.token):
+        admitted = self.doorkeeper.admit(hello.token) if hello is not None else None
+        if hello is None or admitted is None:
             await _close(websocket, BAD_TOKEN, "token" if hello else "hello")
             return None
-        return hello
+        return hello, admitted
 
-    async def _serve(self, websocket: WebSocket, hello: frames.Hello) -> None:
+    async def _serve(self, websocket: WebSocket, hello: frames.Hello, admitted: Admitted) -> None:
         outbox = Outbox(self.now_s)
-        session = self.gateway.join(hello.session, hello.name, outbox)
+        name = admitted.name or hello.name
+        session = self.gateway.join(hello.session, name, outbox, named=bool(admitted.name), observer=admitted.observer)
         self.wake()
         tasks = {
             asyncio.create_task(outbox.run(websocket.send_text)),
             asyncio.create_task(self._listen(websocket, session, outbox)),
             asyncio.create_task(self._stalls(outbox)),
+            asyncio.create_task(self._stays(websocket, admitted, outbox)),
         }
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -130,6 +136,17 @@ class Web:
             answer = command if isinstance(command, frames.Answer) else session.handle(command, outbox)
             outbox.put("answer", answer.encoded())
             self.wake()
+
+    async def _stays(self, websocket: WebSocket, admitted: Admitted, outbox: Outbox) -> None:
+        """Give the page a pass, and a new one in time; close it when its token has ended."""
+        while True:
+            outbox.put("pass", frames.encode({"t": "pass", "token": self.doorkeeper.issue(admitted)}))
+            until_s = self.now_s() + RENEW_S
+            while self.now_s() < until_s:
+                if not self.doorkeeper.holds(admitted):
+                    await _close(websocket, BAD_TOKEN, "token")
+                    return
+                await asyncio.sleep(CHECK_S)
 
     async def _stalls(self, outbox: Outbox) -> None:
         """Return when the page has taken nothing for too long."""

@@ -32,6 +32,7 @@ MISSION_S = 5.0
 CLEAR_S = 5.0
 """A forgotten page must not release a robot that comes back tomorrow; an e-stop is repeated without end."""
 
+OBSERVER = "your token is that of an observer: it shows everything and sends nothing"
 READ_ONLY = "this console is read-only: it was started with --read-only"
 
 
@@ -64,10 +65,12 @@ class OperatorSession:
     ----------
     key, source, name
         The secret of the operator's pages; the unique source of its messages; the operator's name.
+    observer
+        It carries out nothing.
     """
 
-    def __init__(self, context: ConsoleContext, key: str, source: str, name: str) -> None:
-        self.key, self.source, self.name = key, source, name
+    def __init__(self, context: ConsoleContext, key: str, source: str, name: str, *, observer: bool = False) -> None:
+        self.key, self.source, self.name, self.observer = key, source, name, observer
         self.listeners: list[Listener] = []
         self._context = context
         self._operator = Operator(context.bus, context.keys, context.scheduler, source, name=name, clock=clock_id())
@@ -112,6 +115,8 @@ class OperatorSession:
             return Answer(ref=ref)
         if self._context.read_only:
             return Answer(ref=ref, ok=False, reason=READ_ONLY)
+        if self.observer:
+            return Answer(ref=ref, ok=False, reason=OBSERVER)
         desk = self._context.study
         if isinstance(command, frames.Study):
             reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"

@@ -32,4 +32,5 @@ def robot(bare: Robot, tmp_path: Path) -> Robot:
 def two(running: tuple[Robot, Path, Path], tmp_path: Path) -> tuple[Robot, Path, Path]:
     """A robot that runs the first of two releases and has the second."""
     robot, old, new = running
-    return robot.copy(tmp_path / "robot"), old, new
+    own = robot.copy(tmp_path / "robot")
+    return own, own.store / old.name, own.store / new.name

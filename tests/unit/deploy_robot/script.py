@@ -117,7 +117,7 @@ class Robot:
         other = copy.copy(self)
         shutil.copytree(self.folder, folder, symlinks=True)
         other.folder, other.root, other.bin = folder, folder / "root", folder / "bin"
-        other.boot_file = folder / "boot_id"
+        other.boot_file, other.keys, other.store = folder / "boot_id", Keys(folder / "keys"), folder / "store"
         return other
 
     def new_boot_id(self) -> None:
@@ -145,7 +145,7 @@ class Robot:
         robot = RobotConfig(id="r1", driver="null://r1")
         config = SwarmConfig(robot=(robot,)) if swarm == "lab" else SwarmConfig(swarm=swarm, robot=(robot,))
         spread = self.folder / f"kit-{uuid.uuid4().hex[:6]}"
-        with tarfile.open(fileobj=io.BytesIO(support_package(robot, config, self.keys.allowed_signers()))) as tar:
+        with tarfile.open(fileobj=io.BytesIO(support_package(robot, config, self.keys.roots()[-1]))) as tar:
             tar.extractall(spread, filter="data")
         done = subprocess.run(
             ["sh", spread / "install.sh", *words], env=self.environment, check=False, start_new_session=True,

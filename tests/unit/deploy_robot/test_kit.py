@@ -12,11 +12,13 @@ from pathlib import Path
 import pytest
 
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.deploy.robot.support_package import package_id, support_package
+from fullswarm.deploy.robot.support_package import ISSUED_TO, package_id, robot_credentials, support_package
 from fullswarm.errors import ConfigError
+from fullswarm.identity.authority import Authority, revoke
+from fullswarm.identity.folder import IDENTITY, ISSUED, KeysFolder, credentials_for
 from tests.unit.deploy_robot.script import PROGRAMS, Robot
 
-SCRIPTS = ("fullswarm-robot", "robot-shipping.sh", "robot-facts.sh", "install.sh")
+SCRIPTS = ("fullswarm-robot", "robot-trust.sh", "robot-shipping.sh", "robot-facts.sh", "install.sh")
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
@@ -27,8 +29,8 @@ def test_the_scripts_are_posix_shell(name: str) -> None:
 
 def test_the_same_robot_gets_the_same_kit_and_the_robot_names_it(robot: Robot) -> None:
     config = SwarmConfig(robot=(RobotConfig(id="r1", driver="null://r1"),))
-    one = support_package(config.robot[0], config, robot.keys.allowed_signers())
-    assert one == support_package(config.robot[0], config, robot.keys.allowed_signers())
+    one = support_package(config.robot[0], config, robot.keys.roots()[-1])
+    assert one == support_package(config.robot[0], config, robot.keys.roots()[-1])
     assert robot.facts["kit"] == package_id(one)
     (robot.root / "etc/udev/rules.d/60-fullswarm-ports.rules").write_text("# somebody was here\n")
     assert robot.facts["kit"] is None
@@ -91,3 +93,83 @@ def test_an_environment_that_a_shell_would_misread_is_refused(value: str) -> Non
     config = SwarmConfig(robot=(RobotConfig(id="r1"),))
     with pytest.raises(ConfigError, match="environment"):
         support_package(config.robot[0], config, "", environment={"X": value})
+
+
+# ---------------------------------------------------------------- certificates
+SECURED = SwarmConfig.model_validate(
+    {"hub": {"endpoint": "tls/10.0.0.1:7447"}, "robot": [{"id": "r1", "driver": "null://r1"}]}
+)
+NOW_S = 1_800_000_000.0
+
+
+@pytest.fixture
+def authority(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Authority:
+    monkeypatch.setenv(IDENTITY, str(tmp_path / "identity"))
+    made = Authority.make(KeysFolder.of(SECURED.swarm), wall_s=lambda: NOW_S)
+    made.issue("r1", "robot")
+    return made
+
+
+def secured_kit(robot: Robot) -> bytes:
+    credentials = robot_credentials(SECURED.robot[0], SECURED, NOW_S)
+    assert credentials is not None
+    return support_package(SECURED.robot[0], SECURED, robot.keys.roots()[-1], credentials=credentials)
+
+
+def install(robot: Robot, kit: bytes, folder: Path) -> subprocess.CompletedProcess[str]:
+    with tarfile.open(fileobj=io.BytesIO(kit)) as tar:
+        tar.extractall(folder, filter="data")
+    command = ["sh", str(folder / "install.sh")]
+    return subprocess.run(command, env=robot.environment, capture_output=True, text=True, start_new_session=True)
+
+
+def test_a_kit_brings_a_certificate_that_the_agent_finds(
+    robot: Robot, authority: Authority, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kit = secured_kit(robot)
+    assert kit == secured_kit(robot)
+    with tarfile.open(fileobj=io.BytesIO(kit)) as tar:
+        private = [each for each in tar.getmembers() if ISSUED_TO in each.name]
+        assert [oct(each.mode) for each in private] == ["0o600"] * 3
+    done = install(robot, kit, tmp_path / "one")
+    assert done.returncode == 0, done.stderr
+    assert robot.facts["kit"] == package_id(kit)
+    for name in ("authority.pem", "certificate.pem", "key.pem"):
+        assert (robot.root / ISSUED_TO / name).stat().st_mode & 0o777 == 0o600
+    environment = (robot.root / "etc/fullswarm/robot.env").read_text()
+    assert f'{ISSUED}="/{ISSUED_TO}"' in environment
+    assert f'{IDENTITY}="/var/lib/fullswarm/identity"' in environment
+    monkeypatch.setenv(ISSUED, str(robot.root / ISSUED_TO))
+    monkeypatch.setenv(IDENTITY, str(robot.root / "var/lib/fullswarm/identity"))
+    found = credentials_for(SECURED.swarm, "r1", "robot")
+    assert found.key.read_bytes() == authority.folder.key_path("r1").read_bytes()
+    assert install(robot, kit, tmp_path / "two").stdout == ""
+
+
+def test_a_new_certificate_restarts_the_agent_and_a_killed_installation_is_made_good(
+    two: tuple[Robot, Path, Path], authority: Authority, tmp_path: Path
+) -> None:
+    robot, _, _ = two
+    assert install(robot, secured_kit(robot), tmp_path / "one").returncode == 0
+    robot.asked()
+    Authority.open(authority.folder, wall_s=lambda: NOW_S + 60.0).renew("r1")
+    (robot.root / "dies-at").write_text("try-restart")
+    assert install(robot, secured_kit(robot), tmp_path / "two").returncode != 0
+    done = install(robot, secured_kit(robot), tmp_path / "three")
+    assert done.returncode == 0, done.stderr
+    assert "try-restart fullswarm-agent.service" in robot.asked()
+    assert not list(robot.root.rglob("*~"))
+
+
+def test_a_robot_without_a_usable_certificate_is_not_deployed(authority: Authority) -> None:
+    robot = SECURED.robot[0]
+    assert robot_credentials(robot, SwarmConfig(robot=(robot,)), NOW_S) is None
+    with pytest.raises(ConfigError, match="has expired") as error:
+        robot_credentials(robot, SECURED, NOW_S + 31 * 86400.0)
+    assert error.value.hint == "fullswarm keys renew r1 --swarm swarm"
+    revoke(authority.folder, "r1")
+    with pytest.raises(ConfigError, match="is revoked") as error:
+        robot_credentials(robot, SECURED, NOW_S)
+    assert error.value.hint == "fullswarm keys issue r1 --role robot --swarm swarm"
+    with pytest.raises(ConfigError, match="'r2' has no certificate"):
+        robot_credentials(RobotConfig(id="r2"), SECURED, NOW_S)

@@ -24,6 +24,7 @@ def test_only_what_differs_is_wanted(two: tuple[Robot, Path, Path]) -> None:
     robot.ship(third)
     inside = robot.root / "opt/fullswarm/releases"
     assert (inside / old.name / "lib/big.py").samefile(inside / third.name / "lib/big.py")
+    assert robot.make("1.0.1") == new  # signed anew
     assert robot.want(new) == []  # it is there
     robot.check()
 

@@ -89,14 +89,24 @@ export class Link extends Emitter {
     socket.onclose = (event) => this.#closed(socket, event.code);
   }
 
-  /** @param {Message | AnswerFrame} message */
+  /** @param {Message | AnswerFrame | { t: "pass", token: string }} message */
   #receive(message) {
     const now_s = performance.now() / 1000;
     this.heard_s = now_s;
     if (message.t === "fleet") this.fleet_s = now_s;
+    if (message.t === "pass") return this.#keep(message.token);
     if (message.t === "answer") return this.#settle(message.ref, message);
     if (message.t === "hello") this.#opened();
     return this.emit("message", message);
+  }
+
+  /**
+   * Use a pass from now on, instead of the token of the address: it ends by itself, and a reload finds it.
+   * @param {string} token
+   */
+  #keep(token) {
+    this.identity.token = token;
+    sessionStorage.setItem("token", token);
   }
 
   #opened() {

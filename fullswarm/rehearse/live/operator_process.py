@@ -1,4 +1,4 @@
-"""One operator of the chaos benchmark: ``python -m benchmarks.chaos_operator FLEET.toml NAME PROCESS SEED LOG``.
+"""One operator of a live rehearsal: ``python -m fullswarm.rehearse.live.operator_process FLEET NAME PROCESS SEED LOG``.
 
 It sends request after request to some robots, now and then several at once, until SIGTERM. LOG holds each request with
 its time, a JSON document per line: the judge must not depend on what was delivered.
@@ -27,11 +27,11 @@ BURST = 0.1
 STOPS = 0.05
 
 
-class ChaosOperator:
+class RandomOperator:
     """Asks at random, from a seed."""
 
     def __init__(self, config: SwarmConfig, name: str, process: str, seed: int, log: Path) -> None:
-        self._chance = random.Random(seed)
+        self._chance = random.Random(seed)  # noqa: S311  (repeats, keeps no secret)
         self._robots = config.robots
         self._bounds = config.bounds_m
         self._log = log.open("a", encoding="utf-8", buffering=1)
@@ -92,7 +92,7 @@ class ChaosOperator:
 def main() -> int:
     """Ask until SIGTERM."""
     fleet, name, process, seed, log = sys.argv[1:]
-    operator = ChaosOperator(load_swarm(fleet), name, process, int(seed), Path(log))
+    operator = RandomOperator(load_swarm(fleet), name, process, int(seed), Path(log))
     try:
         operator.runtime.run()
     finally:

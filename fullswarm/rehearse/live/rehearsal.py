@@ -1,38 +1,37 @@
 """A live swarm under faults: each request is carried out once, in order, and nothing else happens.
 
-``python -m benchmarks.chaos [--robots 16] [--seconds 300] [--every 5] [--seed 1]``. Hub, core, centralised behaviours
-and one agent per robot are processes of a supervisor, as `fullswarm up` starts them; three operator processes (two of
-one person) send request after request; every `--every` seconds something is killed, paused or cut off. A judge that
-shares no code with the core counts; the simulated world runs here, where its bodies can be observed. Exit code 1: a
-check failed; the folder with all logs and events is then kept.
+Hub, core, centralised behaviours and one agent per robot are processes of a supervisor, as `fullswarm up` starts them;
+three operator processes (two of one person) send request after request; every few seconds something is killed, paused,
+cut off or finds its disk full. A judge that shares no code with the core counts; the simulated world runs in this
+process, where its bodies can be observed.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
+import resource
 import shutil
 import signal
 import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from benchmarks.chaos_faults import Fault, conditions, plan
-from benchmarks.chaos_judge import Ask, Doing, Down, Published, Ran, Record
+from fullswarm.audit.verify import verify
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig
+from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports
-from fullswarm.launch.supervisor import Supervisor
+from fullswarm.launch.supervisor import STORE, Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import (
     BehaviourRequest,
@@ -49,16 +48,22 @@ from fullswarm.messages import (
 )
 from fullswarm.operator.client import Operator
 from fullswarm.reasons import Code
+from fullswarm.rehearse.live.judge import Ask, Doing, Down, Published, Ran, Record
+from fullswarm.rehearse.live.plan import Fault, conditions, plan
 from fullswarm.runtime import Mailbox, Runtime
 
+OPERATOR_MODULE = "fullswarm.rehearse.live.operator_process"
+LOSS = 0.01
+"""Share of all messages that is lost all the time."""
+DISK_FULL = "core's disk full"
 OPERATORS = (("ann", "ann-shell"), ("ann", "ann-pad"), ("bob", "bob-shell"))
 LOOK_S = 0.1
 FRESH_S = 1.2
 SETTLE_S = 12.0
 FORGET_S = 30.0
-BACK_S = 5.0
-"""A killed agent is READY and runs the last request to its robot within this time."""
 MOVES_M_S, MOVES_RAD_S = 0.03, 0.1
+SHOWN = 20
+"""Of each kind of what was wrong, so many are printed."""
 STANDS = frozenset({Code.HUB, Code.CORE, Code.STALE, Code.DRIVER, Code.DRIVER_FAILED, Code.CLOCK, Code.READING})
 """Reasons for standing that come from a fault; at the edge of the arena a robot stands by right."""
 
@@ -85,7 +90,7 @@ class Seen:
 
 
 @dataclass
-class Chaos:
+class LiveRehearsal:
     """The swarm, its operators and its faults."""
 
     robots: int
@@ -105,7 +110,7 @@ class Chaos:
         side_m = 4.0 * math.ceil(math.sqrt(self.robots)) + 4.0
         columns = math.ceil(math.sqrt(self.robots))
         settings: dict[str, Any] = {
-            "swarm": "chaos",
+            "swarm": "rehearsal",
             "world": {"engine": "kinematic", "bounds_m": [0, 0, side_m, side_m]},
             "network": {"conditions": conditions(self.faults, self.loss), "seed": self.seed, "since_s": self.zero_s},
             "robot": [
@@ -120,7 +125,7 @@ class Chaos:
         self.events = (self.folder / "events.jsonl").open("w", encoding="utf-8")
         self.bus = ZenohBus(self.runtime.mailbox, hub=self.config.hub.endpoint)
         self.world = WorldNode(self.bus, self.runtime, self.config, "world-here")
-        self.me = Operator(self.bus, self.keys, self.runtime, "chaos", name="eve", clock=clock_id())
+        self.me = Operator(self.bus, self.keys, self.runtime, "rehearsal", name="eve", clock=clock_id())
         self.seen = {name: Seen() for name in names}
         self.beats: dict[str, tuple[float, str]] = {}
         self.last: dict[str, BehaviourRequest] = {}  # by the requesting process
@@ -257,6 +262,8 @@ class Chaos:
             self._send_late(fault)
         elif fault.kind == "e-stop":
             self._press(fault)
+        elif fault.kind == DISK_FULL:
+            self._fill_disk(fault)
         elif what == "operator":
             self._replace_operator(fault)
         elif fault.kind.endswith("killed"):
@@ -271,6 +278,23 @@ class Chaos:
             process = self.supervisor.children[name].process
             self.supervisor.kill(name, signal.SIGSTOP)
             self.runtime.after(fault.lasts_s, lambda: self._go_on(fault, name, process))
+
+    def _fill_disk(self, fault: Fault) -> None:
+        """Let no file of the core grow for a while: what a full disk does to it, without one for everybody else."""
+        process = self.supervisor.children["core"].process
+        if process is None or process.poll() is not None:
+            return
+        before = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (0, before[1]))
+        self._go_down("core")
+
+        def empty() -> None:
+            with suppress(ProcessLookupError):  # it has ended, and its successor has no limit
+                resource.prlimit(process.pid, resource.RLIMIT_FSIZE, before)
+            self._up("core")
+            self._wait_for(fault, self._affected(fault), "core")
+
+        self.runtime.after(fault.lasts_s, empty)
 
     def _go_on(self, fault: Fault, name: str, process: subprocess.Popen[bytes] | None) -> None:
         if process is not None:
@@ -322,7 +346,7 @@ class Chaos:
         self.runtime.after(fault.lasts_s, lambda: self.bus.publish(self.keys.behaviour_request, late))
 
     def _press(self, fault: Fault) -> None:
-        order = self.me.estop(True, fault.robots, "chaos", deadline_s=fault.lasts_s)
+        order = self.me.estop(True, fault.robots, "rehearsal", deadline_s=fault.lasts_s)
         now_s = self.runtime.now_s()
         self.record.asks[order.message.id] = Ask(now_s, "eve", order.message.id, "", fault.robots)
 
@@ -349,9 +373,9 @@ class Chaos:
         process = f"{role}:{self.starts[role]}"
         arguments = (str(self.folder / "fleet.toml"), name, process, str(hash_of(self.seed, process)))
         with (self.folder / "operators.log").open("ab") as log:
-            self.people[role] = subprocess.Popen(
-                [sys.executable, "-m", "benchmarks.chaos_operator", *arguments, str(self.folder / "asked.jsonl")],
-                stdin=subprocess.DEVNULL, stdout=log, stderr=log, cwd=Path(__file__).parents[1],
+            self.people[role] = subprocess.Popen(  # noqa: S603  (our own interpreter and our own module)
+                [sys.executable, "-m", OPERATOR_MODULE, *arguments, str(self.folder / "asked.jsonl")],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log,
             )  # fmt: skip
         return process
 
@@ -399,7 +423,10 @@ class Chaos:
         self.supervisor.start()
         if not self.until(lambda: all(map(self._well, self.seen)), self.warm_s - 5.0):
             missing = [name for name in self.seen if not self._well(name)]
-            raise SystemExit(f"not ready after {self.warm_s - 5.0:.0f} s: {', '.join(missing)}; logs in {self.folder}")
+            raise Unreachable(
+                f"not ready after {self.warm_s - 5.0:.0f} s: {', '.join(missing)}", where=str(self.folder),
+                hint="the logs there say why",
+            )  # fmt: skip
         self.runtime.every(LOOK_S, self._look)
         for name, role in OPERATORS:
             self._start_operator(name, role)
@@ -446,66 +473,135 @@ def hash_of(seed: int, process: str) -> int:
     return seed * 1_000_003 + sum((place + 1) * ord(each) for place, each in enumerate(process))
 
 
-def report(chaos: Chaos) -> bool:
-    """Print counts and times; return whether all was well."""
-    record = chaos.record
-    verdict = record.judge()
-    zero_s = chaos.zero_s
-    asked = sum(len(each.robots) for each in record.asks.values() if each.behaviour)
-    accepted = record.accepted()
-    print(f"chaos: {chaos.robots} robots, {chaos.seconds:g} s, {len(chaos.faults)} faults, seed {chaos.seed}, "
-          f"{100 * chaos.loss:g} % loss; {len(record.asks)} requests and stops, {asked} robot-requests, "
-          f"{len(accepted)} accepted, {len(record.ran)} executions")  # fmt: skip
-    counts = {
-        "uncommanded motions": verdict.uncommanded, "doubled": verdict.doubled, "older after newer": verdict.older,
-        "lost": verdict.lost, "not running the last request": verdict.wrong,
-    }  # fmt: skip
-    print(f"\n{'fault':22}{'count':>6}{'p50 s':>8}{'max s':>8}{'not back':>10}   (until all run their requests)")
-    slow = []
-    for kind in dict.fromkeys(each.kind for each in chaos.faults):
-        took = sorted(each.took_s for each in chaos.watches if each.fault.kind == kind)
-        count = sum(each.kind == kind for each in chaos.faults)
-        back = [each for each in took if each < math.inf]
-        middle, worst = (f"{took[len(took) // 2]:.2f}", f"{max(back):.2f}") if back else ("-", "-")
-        print(f"{kind:22}{count:6}{middle:>8}{worst:>8}{len(took) - len(back):10}")
-        if kind == "agent killed":
-            slow = [f"{each.fault.robots[0]}, killed at {each.began_s - zero_s:.2f}, took {each.took_s:.2f} s"
-                    for each in chaos.watches if each.fault.kind == kind and each.took_s > BACK_S]  # fmt: skip
-    counts[f"killed agents not back within {BACK_S:g} s"] = slow
-    print()
-    for name, found in counts.items():
-        print(f"{name:38}{len(found):5}")
-        for each in found[:20]:
-            print(f"    {each}")
-    print(f"(times in these lines: monotonic clock; the chaos began at {zero_s:.2f})")
-    return not any(counts.values())
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """How long faults of one kind took until all robots that they concern ran what they were asked for, in seconds."""
+
+    fault: str
+    count: int
+    median_s: float | None  # None: none is known to be over
+    longest_s: float | None
+    not_over: int
 
 
-def main() -> int:
-    """Run once; return 1 when something was not as it has to be."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--robots", type=int, default=16)
-    parser.add_argument("--seconds", type=float, default=300.0)
-    parser.add_argument("--every", type=float, default=5.0, help="seconds from one fault to the next")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--loss", type=float, default=0.01, help="share of all messages that is lost, all the time")
-    parser.add_argument("--keep", type=Path, help="folder for logs and events; default: kept only after a failure")
-    options = parser.parse_args()
-    chaos = Chaos(options.robots, options.seconds, options.every, options.seed, options.loss)
-    well = False
+@dataclass(frozen=True, slots=True)
+class LiveReport:
+    """What was tried, how long each kind of fault lasted on, and what was wrong."""
+
+    robots: int
+    seconds: float
+    seed: int
+    loss: float
+    faults: int
+    requests: int
+    robot_requests: int
+    accepted: int
+    executions: int
+    audited: int  # entries of the audit log
+    recoveries: tuple[Recovery, ...]
+    wrong: dict[str, list[str]]
+    began_s: float  # on the monotonic clock of `wrong`
+    folder: str
+
+    @property
+    def failed(self) -> bool:
+        """Whether anything was wrong."""
+        return any(self.wrong.values())
+
+
+def report_of(live: LiveRehearsal) -> LiveReport:
+    """Judge a rehearsal that is over."""
+    record, verdict = live.record, live.record.judge()
+    ended = [
+        f"{child.name}: {child.given_up or 'does not run'}"
+        for child in live.supervisor.children.values()
+        if not live.supervisor.alive(child.name)
+    ]
+    return LiveReport(
+        robots=live.robots,
+        seconds=live.seconds,
+        seed=live.seed,
+        loss=live.loss,
+        faults=len(live.faults),
+        requests=len(record.asks),
+        robot_requests=sum(len(each.robots) for each in record.asks.values() if each.behaviour),
+        accepted=len(record.accepted()),
+        executions=len(record.ran),
+        audited=0,
+        recoveries=tuple(_recovery(live, kind) for kind in dict.fromkeys(each.kind for each in live.faults)),
+        wrong={
+            "uncommanded motions": verdict.uncommanded,
+            "executed twice": verdict.doubled,
+            "older after newer": verdict.older,
+            "lost": verdict.lost,
+            "not running the last request": verdict.wrong,
+            "processes that have ended": ended,
+        },
+        began_s=live.zero_s,
+        folder=str(live.folder),
+    )
+
+
+def _recovery(live: LiveRehearsal, kind: str) -> Recovery:
+    took = [each.took_s for each in live.watches if each.fault.kind == kind]
+    over = sorted(each for each in took if each < math.inf)
+    return Recovery(
+        fault=kind,
+        count=sum(each.kind == kind for each in live.faults),
+        median_s=round(over[len(over) // 2], 2) if over else None,
+        longest_s=round(over[-1], 2) if over else None,
+        not_over=len(took) - len(over),
+    )
+
+
+def text_of(report: LiveReport) -> str:
+    """Return a report as lines for people."""
+    tried = f"{report.robots} robots, {report.seconds:g} s, {report.faults} faults, seed {report.seed}, "
+    asked = f"{report.requests} requests and stops, {report.robot_requests} robot-requests, "
+    lines = [
+        f"{tried}{100 * report.loss:g} % loss",
+        f"{asked}{report.accepted} accepted, {report.executions} executions, {report.audited} entries audited",
+        "",
+        f"{'fault':22}{'count':>6}{'median s':>10}{'longest s':>11}{'not over':>10}   (until all run their requests)",
+    ]
+    for each in report.recoveries:
+        median, longest = (
+            "-" if value is None else f"{value:.2f}" for value in (each.median_s, each.longest_s)
+        )  # fmt: skip
+        lines.append(f"{each.fault:22}{each.count:6}{median:>10}{longest:>11}{each.not_over:10}")
+    lines.append("")
+    for name, found in report.wrong.items():
+        lines.append(f"{name:38}{len(found):5}")
+        lines += [f"    {each}" for each in found[:SHOWN]]
+    if report.failed:
+        lines.append(f"times: monotonic clock, the first fault from {report.began_s:.2f} on; logs: {report.folder}")
+    return "\n".join(lines)
+
+
+def rehearse_live(robots: int, seconds: float, every_s: float, seed: int, loss: float) -> LiveReport:
+    """Run a live swarm under faults on this machine; its logs stay only after a failure.
+
+    Parameters
+    ----------
+    seconds : how long faults happen
+    every_s : from one fault to the next
+    loss : share of all messages that is lost, all the time
+
+    Raises
+    ------
+    Unreachable
+        The swarm was not ready in time.
+    """
+    live = LiveRehearsal(robots, seconds, every_s, seed, loss)
+    folder = live.supervisor.kept_folder()
     try:
-        chaos.run()
-        well = report(chaos)
+        live.run()
+        report = report_of(live)
     finally:
-        chaos.close()
-        if options.keep is not None:
-            shutil.copytree(chaos.folder, options.keep, dirs_exist_ok=True)
-        if well:
-            shutil.rmtree(chaos.folder, ignore_errors=True)
-        else:
-            print(f"logs, and all events as events.jsonl and asked.jsonl: {chaos.folder}")
-    return 0 if well else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        live.close()
+    audit = verify(folder / "audit", folder / STORE)  # after the core has ended: it writes in batches
+    problems = audit.problems if audit.entries else ["no entries"]
+    report = replace(report, audited=audit.entries, wrong={**report.wrong, "problems of the audit log": problems})
+    if not report.failed:
+        shutil.rmtree(folder, ignore_errors=True)
+    return report

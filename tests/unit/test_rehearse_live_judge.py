@@ -1,4 +1,4 @@
-"""The judge of the chaos benchmark sees each thing that must not be, and nothing where all is well."""
+"""The judge of a live rehearsal sees each thing that must not be, and nothing where all is well."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from benchmarks.chaos_faults import DECK, conditions, plan
-from benchmarks.chaos_judge import Ask, Doing, Down, Published, Ran, Record
 from fullswarm.bus.network_faults import parse_network
+from fullswarm.rehearse.live.judge import Ask, Doing, Down, Published, Ran, Record
+from fullswarm.rehearse.live.plan import DECK, conditions, plan
 
 
 def ran(t: float, request_id: str, sequence: int, agent: str = "r1-a", core: str = "c", **fields: bool) -> Ran:

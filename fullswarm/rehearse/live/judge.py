@@ -1,4 +1,4 @@
-"""Judges a swarm under faults by its requests, the reports of the robots and the motion of their bodies.
+"""Judges a live rehearsal by its requests, the reports of the robots and the motion of their bodies.
 
 It shares no code with the core. Times are seconds of this machine's monotonic clock. Pure: events in, a verdict out.
 """

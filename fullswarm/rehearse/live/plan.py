@@ -1,14 +1,14 @@
-"""What goes wrong in the chaos benchmark, and when: a seeded plan, made before the swarm starts."""
+"""Which faults happen in a live rehearsal, and when: a plan from a seed, made before the swarm starts."""
 
 from __future__ import annotations
 
 import random
 from dataclasses import dataclass
 
-KILLED, PAUSED, CUT = "killed", "paused", "cut off"
 DECK = (
     "agent killed", "agent killed", "agent killed", "agent paused", "agent paused", "core killed", "core paused",
     "centralised killed", "hub killed", "hub paused", "robots cut off", "operator killed", "e-stop", "late request",
+    "core's disk full",
 )  # fmt: skip
 """One round; shuffled again for each."""
 FIRST_S = 3.0
@@ -16,7 +16,7 @@ FIRST_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault. Seconds since the chaos began; `lasts_s` of a pause, a cut, an e-stop, a request's delay."""
+    """One fault. Seconds since the first one may happen; `lasts_s` of a pause, a cut, an e-stop, a request's delay."""
 
     number: int
     at_s: float
@@ -27,7 +27,7 @@ class Fault:
 
 def plan(robots: tuple[str, ...], seconds: float, every_s: float, seed: int) -> tuple[Fault, ...]:
     """Return the faults of one run; the same for the same arguments."""
-    chance = random.Random(seed)
+    chance = random.Random(seed)  # noqa: S311  (repeats, keeps no secret)
     faults: list[Fault] = []
     deck: list[str] = []
     while FIRST_S + every_s * len(faults) < seconds:
