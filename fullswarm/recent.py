@@ -49,6 +49,8 @@ class Names:
         Called with each name that is forgotten: the owner drops what it keeps under that name.
     listed
         Names of the fleet file.
+    least_s
+        No name is forgotten sooner after its last message.
 
     Attributes
     ----------
@@ -56,8 +58,10 @@ class Names:
         Messages under names for which there was no room.
     """
 
-    def __init__(self, most: int, forget: Callable[[str], object], listed: Iterable[str] = ()) -> None:
-        self._most, self._forget, self.listed = most, forget, frozenset(listed)
+    def __init__(
+        self, most: int, forget: Callable[[str], object], listed: Iterable[str] = (), least_s: float = FORGET_S
+    ) -> None:
+        self._most, self._forget, self._least_s, self.listed = most, forget, least_s, frozenset(listed)
         self._seen: OrderedDict[str, tuple[float, float]] = OrderedDict()  # first and last arrival, the oldest first
         self.refused = 0
 
@@ -84,7 +88,7 @@ class Names:
         """Forget the names that have been silent for too long; to be called now and then."""
         over = []
         for name, (first_s, last_s) in self._seen.items():
-            if now_s - last_s <= FORGET_S:
+            if now_s - last_s <= self._least_s:
                 break  # all that follow are newer
             if now_s - last_s > min(LINGER * (last_s - first_s), LONGEST_S):
                 over.append(name)

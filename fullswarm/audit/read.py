@@ -30,7 +30,8 @@ class Selection:
         robots, operator = entry.get("robots"), str(entry.get("operator", ""))
         if self.robot and robots and self.robot not in robots:
             return False
-        if self.operator and self.operator not in (operator, operator.partition("@")[0]):
+        by = str(entry.get("source", "")).rpartition(":")[2]  # of a stop, which has no operator: console@desk:1/1:anna
+        if self.operator and self.operator not in (operator, operator.partition("@")[0], by):
             return False
         return self.since is None or _time_of(entry) >= self.since
 

@@ -7,6 +7,7 @@ expired and the list of grants names its CN: leaving a CN out revokes it, which 
 from __future__ import annotations
 
 import ipaddress
+import os
 import socket
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from fullswarm.audit.log import Event, record
 from fullswarm.clock import wall_time_s
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.identity import certificates
@@ -29,6 +31,8 @@ DAYS = 30.0
 LONGEST_DAYS = 3650.0
 SKEW = 0.01
 """Share of its life by which a certificate begins before it is issued, for clocks that are slow."""
+AUDIT = "keys.audit"
+"""Folder of the audit log in a swarm's keys; no process can be called so."""
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
@@ -369,6 +373,9 @@ class Authority:
         if hosts:
             names = x509.SubjectAlternativeName([_alternative(each) for each in hosts])
             builder = builder.add_extension(names, critical=False)
+        # Recorded first: a certificate of which the log knows nothing must not come about.
+        what: dict[str, object] = {"name": name, "role": role, "generation": generation, "until": ends.isoformat()}
+        _record(self.folder, "issued", what)
         return builder.sign(self._key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
 
 
@@ -413,7 +420,15 @@ def revoke(folder: KeysFolder, name: str) -> tuple[Grant, ...]:
             raise ConfigError(f"'{name}' has no certificate", where=str(folder.path), hint=hint)
         if gone:
             folder.write_grants(each for each in grants if each.name != name)
+            # Recorded last: a log that cannot be written must not keep a key valid.
+            _record(folder, "revoked", {"name": name, "certificates": [each.common_name for each in gone]})
     return gone
+
+
+def _record(folder: KeysFolder, result: str, what: dict[str, object]) -> None:
+    """Write a change into the audit log of the keys."""
+    by = f"uid-{os.getuid()}@{socket.gethostname()}"
+    record(folder.path / AUDIT, f"keys-{os.getpid()}", Event("key", what, result=result, operator=by))
 
 
 def list_certificates(folder: KeysFolder, now_s: float) -> tuple[Entry, ...]:

@@ -286,7 +286,7 @@ def test_entries_are_selected_and_followed(tmp_path: Path) -> None:
     audit.append(Event("request", {}, ("r1",), operator="anna@lab"))
     clock.advance_to(100.0)
     audit.append(Event("request", {}, ("r2",), operator="ben@lab"))
-    audit.append(Event("stop", {}, (), source="cli"))
+    audit.append(Event("stop", {}, (), source="console@desk:1/1:ben"))
     assert reader_of is not None
     entries = list(reader_of.read())
     assert [each["n"] for each in entries] == [1, 2, 3]
@@ -296,6 +296,7 @@ def test_entries_are_selected_and_followed(tmp_path: Path) -> None:
 
     assert numbers(Selection(robot="r1")) == [1, 3]  # a stop of all concerns it
     assert numbers(Selection(operator="anna")) == numbers(Selection(operator="anna@lab")) == [1]
+    assert numbers(Selection(operator="ben")) == [2, 3]
     assert numbers(Selection(since=datetime.fromtimestamp(1.7e9 + 50, UTC))) == [2, 3]
     audit.append(Event("stop"))
     assert [each["n"] for each in reader_of.read()] == [4]

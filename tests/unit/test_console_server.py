@@ -341,7 +341,10 @@ def test_operator_is_named_by_the_token_whatever_the_page_states(folder: Path, t
             assert (hello["operator"], hello["read_only"]) == ("anna", False)
             await line.send(json.dumps({"t": "request", "ref": 1, "behaviour": "flocking"}))
             assert (await frame(line, "answer"))["ok"]
-            assert [each.operator for each in served.requests] == ["anna"]
+            assert {each.operator for each in served.requests} == {"anna"}
+            await line.send(json.dumps({"t": "stop", "ref": 2}))
+            assert (await frame(line, "answer"))["ok"]
+            assert {each.source for each in served.stops} == {"console@base:1/1:anna"}
             # An observer with the same secret of the page gets a session of its own, and sends nothing.
             await other.send(json.dumps({**HELLO, "token": ben, "name": "anna"}))
             hello = await frame(other)
@@ -351,8 +354,10 @@ def test_operator_is_named_by_the_token_whatever_the_page_states(folder: Path, t
                 await other.send(json.dumps({"t": order, "ref": number, **extra}))
                 answer = await frame(other, "answer")
                 assert (answer["ok"], "observer" in answer["reason"]) == (False, True)
-            assert served.stops == []
-            assert len(served.requests) == 1
+            # Hers are repeated, and there are no others.
+            assert {each.source for each in served.stops} == {"console@base:1/1:anna"}
+            assert {each.source for each in served.requests} == {"console@base:1/1:anna"}
+            assert len({each.id for each in served.stops}) == 1
 
     run(folder, story, tokens=tokens)
 

@@ -12,9 +12,11 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fullswarm.audit.read import Reader
+from fullswarm.audit.verify import verify
 from fullswarm.errors import ConfigError
 from fullswarm.identity import ROLES, Role
-from fullswarm.identity.authority import Authority, copy_to, list_certificates, revoke
+from fullswarm.identity.authority import AUDIT, Authority, copy_to, list_certificates, revoke
 from fullswarm.identity.certificates import (
     DAY_S,
     check_signed,
@@ -348,3 +350,34 @@ def test_a_copy_holds_what_another_computer_needs_and_no_more(tmp_path: Path, au
     copied.credentials("anna", "operator")
     files = {str(path.relative_to(tmp_path / "stick")) for path in (tmp_path / "stick").rglob("*") if path.is_file()}
     assert files == {"lab/authority.pem", "lab/anna/certificate.pem", "lab/anna/key.pem"}
+
+
+# ---------------------------------------------------------------- the audit log of the keys
+def test_issued_renewed_and_revoked_certificates_are_in_the_audit_log(authority: Authority) -> None:
+    authority.issue("r1", "robot")
+    authority.renew("r1")
+    revoke(authority.folder, "r1")
+    revoke(authority.folder, "r1")  # nothing changes
+    log = authority.folder.path / AUDIT
+    entries = list(Reader(log).read())
+    assert [(each["act"], each["result"], each["what"]["name"]) for each in entries] == [
+        ("key", "issued", "r1"), ("key", "issued", "r1"), ("key", "revoked", "r1"),
+    ]  # fmt: skip
+    assert verify(log).problems == []
+
+
+def test_no_certificate_comes_about_that_the_audit_log_does_not_know(authority: Authority) -> None:
+    (authority.folder.path / AUDIT).write_text("in its way")
+    with pytest.raises(ConfigError, match="audit log cannot be written"):
+        authority.issue("r1", "robot")
+    assert common_names(authority.folder) == set()
+    assert not authority.folder.certificate_path("r1").exists()
+
+
+def test_revoking_works_although_the_audit_log_cannot_be_written(authority: Authority) -> None:
+    authority.issue("r1", "robot")
+    (authority.folder.path / AUDIT).rename(authority.folder.path / "moved")
+    (authority.folder.path / AUDIT).write_text("in its way")
+    with pytest.raises(ConfigError, match="audit log cannot be written"):
+        revoke(authority.folder, "r1")
+    assert common_names(authority.folder) == set()

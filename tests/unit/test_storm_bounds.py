@@ -90,8 +90,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     def small_recent(self: Recent[Any, Any], most: int) -> None:
         recent(self, min(most, SMALL))
 
-    def small_names(self: Names, most: int, forget: Any, listed: Any = ()) -> None:
-        names(self, min(most, SMALL), forget, listed)
+    def small_names(self: Names, most: int, *others: Any) -> None:
+        names(self, min(most, SMALL), *others)
 
     monkeypatch.setattr(Recent, "__init__", small_recent)
     monkeypatch.setattr(Names, "__init__", small_names)

@@ -151,6 +151,7 @@ class Gateway:
             self._make_room()
             self._opened += 1
             source = f"{self._identity.process}/{self._opened}"
+            source += f":{name}" if named else ""  # stops have no operator: their source has to say whose they are
             session = self._sessions[key] = OperatorSession(self._context, key, source, title, observer=observer)
         for kind, make in self._initial_frames(session).items():
             with self._drawing(kind):
