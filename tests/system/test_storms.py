@@ -117,5 +117,5 @@ def test_an_old_release_that_is_sent_again_releases_nothing(swarm: LiveSwarm) ->
 
 def latched(swarm: LiveSwarm) -> list[bool]:
     """Return which robots of the file report their e-stop; invented ones are still shown for a while."""
-    healths = [swarm.row(robot).health for robot in swarm.config.robots]
-    return [health is not None and health.estop for health in healths]
+    rows = [row for row in swarm.view.snapshot().robots if row.robot in swarm.config.robots]
+    return [row.health is not None and row.health.estop for row in rows]
