@@ -144,12 +144,14 @@ class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/4"):
     stamp_s: Stamp = 0.0
 
 
-class StopRequest(Message, frozen=True, kw_only=True):
+class StopRequest(Message, frozen=True, kw_only=True, tag="StopRequest/2"):
     """Stop now. Sent to the robots directly and to the core; needs neither a lease nor an answer."""
 
     id: str
     robots: Names = ()  # empty: all
     source: str = ""
+    clock: str = ""  # as in BehaviourRequest: robots tell the core, which may have missed the stop
+    stamp_s: Stamp = 0.0
 
 
 class LeaseRequest(Message, frozen=True, kw_only=True):
@@ -333,7 +335,7 @@ class MissionStatus(Message, frozen=True, kw_only=True):
 
 
 # ---------------------------------------------------------------- core -> agents
-class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/4"):
+class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/5"):
     """Enable or disable one behaviour of one robot (paper II.D); `sequence` grows, an older one is ignored."""
 
     request_id: str
@@ -352,6 +354,7 @@ class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/4")
     centralised: bool = False  # no law on board: apply Command messages of `request_id`
     survives_core: bool = False  # continue when the core's heartbeat is silent
     expires_s: Validity = 0.0  # > 0: the request is an intent that expires this long after its arrival
+    halts: Names | None = None  # stops of this robot that the core knows: it ignores a request made without its newest
     core: str = ""  # which core process; sequences of different processes do not compare
     sequence: Ordinal = 0
     stamp_s: Stamp = 0.0
@@ -761,6 +764,8 @@ class Halt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     source: str = ""
     estop: bool = False
     stamp_s: Stamp = 0.0  # when it was carried out, on the clock of the report's own `stamp_s`
+    clock: str = ""  # of the operator's own stamp, as in the order
+    ordered_s: Stamp = 0.0  # that stamp
 
 
 class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -799,7 +804,7 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     halt: Halt | None = None  # None: it has started something since the newest stop
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/6"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/7"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str

@@ -80,6 +80,12 @@ def flash(
         typer.Option(metavar="SERIAL", help="Overwrite the card with this serial number without a prompt."),
     ] = None,
     max_size: Annotated[int, typer.Option(min=1, metavar="GB", help="Refuse larger devices.")] = 300,
+    full_sudo: Annotated[
+        bool,
+        typer.Option(
+            "--full-sudo", help="Let the SSH user become root (default: it may run `fullswarm-robot` as root)."
+        ),
+    ] = False,
     wait: Annotated[bool, typer.Option("--wait", help="Wait until the robots report on the fleet's hub.")] = False,
     minutes: Annotated[float, typer.Option(min=0.01, max=1440, help="Time limit of --wait.")] = 15.0,
     hub: Annotated[
@@ -130,6 +136,7 @@ def flash(
             most_bytes=max_size * 1_000_000_000,
             wait_minutes=minutes if wait else None,
             hub=hub,
+            full_sudo=full_sudo,
             dry_run=dry_run,
             as_json=as_json,
         )

@@ -6,6 +6,7 @@ A state machine without I/O: events in, at most one control request out. The rul
 * the same behaviour with new parameters is an update and needs no disabling;
 * what is not acknowledged is sent again with the same sequence number, so that it is carried out once;
 * the validity of an intent counts from its request, however late it arrives;
+* what is sent names the stops that the core knows: a robot ignores what was sent before the core knew its newest one;
 * the robot's report of itself is authoritative: after a restart of either side the two are compared.
 """
 
@@ -19,11 +20,15 @@ import msgspec
 
 from fullswarm.messages import ControlAck, ControlRequest, Needs, Result, RobotHealth, Value
 from fullswarm.reasons import NONE, Code, Reason, given, reason
+from fullswarm.recent import Recent
 
 RESEND_S = 0.1
 RESEND_MAX_S = 0.5
 BEHIND_S = 0.5
 """A report that contradicts an acknowledgement counts as older for this time, then as authoritative."""
+
+KNOWN_HALTS = 4
+"""So many stops are sent with a request: the robot's newest is among them unless several crossed it."""
 
 IDLE = ("", "stop")
 """Behaviours that mean: nothing is enabled."""
@@ -82,6 +87,7 @@ class Desired:
     resend_s: float = math.inf
     acked_sequence: int = 0  # highest sequence acknowledged
     acked_s: float = -math.inf
+    halts: Recent[str, None] = field(default_factory=lambda: Recent(KNOWN_HALTS))  # of this robot, by their ids
     _maybe_active: str = field(default="", repr=False)  # an enable in flight when the order changed
 
     def set_order(self, order: Order | None, now_s: float) -> None:
@@ -146,7 +152,7 @@ class Desired:
             return None
         # Within rounding it is as requested.
         expires_s = left_s if left_s < flight.expires_s - 1e-6 else flight.expires_s
-        return msgspec.structs.replace(flight, stamp_s=now_s, expires_s=expires_s)
+        return msgspec.structs.replace(flight, stamp_s=now_s, expires_s=expires_s, halts=tuple(self.halts))
 
     def sent(self, now_s: float) -> None:
         """Note that the request was sent: the next try follows after 0.1 s, later ones up to 0.5 s apart."""

@@ -150,11 +150,13 @@ class MainController:
             text = f"{error.what} ({error.hint})" if error.hint else error.what
             self._refuse(request, given(text, error.code, error.parameters))
 
-    def _record_stop(self, request: BehaviourRequest) -> None:
-        """Record when a stop was sent, also one that arrived as `StopRequest` before."""
+    def _record_stop(self, request: BehaviourRequest | StopRequest | EStop) -> None:
+        """Record when a stop or e-stop was sent: what was requested before it must not start robots after it."""
         known = self._roster.known()
-        for robot in set(self._groups.expand(request.robots)).intersection(known) if request.robots else known:
-            self._request_order.stop(robot, request.id, request.clock, request.stamp_s)
+        robots = set(self._groups.expand(request.robots)).intersection(known) if request.robots else known
+        self._handler.note_halt(robots, request.id)
+        for robot in robots:
+            self._request_order.stop(robot, request.id, request.clock or request.source, request.stamp_s)
 
     def _accept(self, request: BehaviourRequest) -> None:
         if not request.id:
@@ -243,21 +245,27 @@ class MainController:
 
     def _halted(self, robot: str, halt: Halt, at_s: float) -> None:
         """Carry out a stop that a robot obeys and that no core has received, for this robot."""
+        self._handler.note_halt((robot,), halt.id)
+        self._request_order.stop(robot, halt.id, halt.clock, halt.ordered_s)
         stop_id = f"{halt.id}@{robot}"  # of its own: other robots may report the same stop
         if self.knows(halt.id) or self.knows(stop_id):
             return
         by = halt.source or UNNAMED
         self._notify(stop_id, (robot,), f"e-stop by {by}" if halt.estop else f"stopped by {by}", at_s)
-        if self._handler.ordered_s(robot) <= at_s:  # not if it was asked for something since
+        order = self._handler.order_of(robot)
+        older = order is not None and order.clock == halt.clock != "" and order.stamp_s < halt.ordered_s
+        if older or self._handler.ordered_s(robot) <= at_s:  # not if it was asked for something since
             self._stand(stop_id, (robot,), given("e-stop", Code.ESTOP) if halt.estop else NONE)
 
     def _stopped(self, request: StopRequest) -> None:
+        self._record_stop(request)
         self._notify(request.id, request.robots, f"stopped by {request.source or UNNAMED}")
         self._stand(request.id, request.robots, NONE)
 
     def _emergency(self, estop: EStop) -> None:
         """Order robots in e-stop to stand: releasing it must not start any."""
         if estop.engaged:
+            self._record_stop(estop)
             self._notify(estop.id, estop.robots, f"e-stop by {estop.source or UNNAMED}")
             text = "e-stop" + (f": {estop.reason}" if estop.reason else "")
             self._stand(estop.id, estop.robots, given(text, Code.ESTOP))
@@ -277,6 +285,7 @@ class MainController:
             return
         known = self._roster.known()
         addressed = [robot for robot in dict.fromkeys(robots) if robot in known] if robots else known
+        self._handler.note_halt(addressed, request_id)
         if addressed and self._flooded() and all(map(self._handler.stands, addressed)):
             self._board.publish(_status(request_id, STOP, "ended", given("the robots were told to stand before")))
             return

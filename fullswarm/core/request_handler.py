@@ -157,6 +157,11 @@ class RequestHandler:
         """
         self._on_halt.append(callback)
 
+    def note_halt(self, robots: Iterable[str], halt_id: str) -> None:
+        """Note a stop or e-stop of these robots: they ignore requests that were sent without knowing it."""
+        for robot in robots if halt_id else ():
+            self._state(robot).halts[halt_id] = None
+
     def ordered_s(self, robot: str) -> float:
         """Return when this core got `robot`'s newest order; minus infinity for none, and for one from before it."""
         state = self._robots.get(robot)

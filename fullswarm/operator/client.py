@@ -187,7 +187,9 @@ class Operator:
         While there is no hub it is repeated, for 10 s at most: robots that lost it drive on when it is back.
         """
         self._void_all(robots := tuple(robots), "a stop came before the core received it")
-        message = StopRequest(id=self._new_id(), robots=robots, source=self.source)
+        message = StopRequest(
+            id=self._new_id(), robots=robots, source=self.source, clock=self._clock, stamp_s=self._scheduler.now_s()
+        )
         # The same for the core alone, with the time: requests that were made before it must not start robots after it.
         dated = BehaviourRequest(
             id=message.id, behaviour=STOP, robots=robots, source=self.source, operator=self.name, clock=self._clock,

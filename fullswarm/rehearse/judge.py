@@ -147,7 +147,7 @@ class Judge:
         """Note the end of a process: the next one knows only what is on its disk."""
         robot = self._robots.get(name)
         if robot is not None:
-            robot.running = ""
+            robot.running, robot.offered_s = "", -math.inf
             robot.seen.clear()
             robot.enabled.clear()
             robot.newest.clear()

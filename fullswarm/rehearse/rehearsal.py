@@ -33,6 +33,7 @@ class Options:
     hours : simulated hours of the whole swarm
     episode, keep : run this one alone, with the faults of these indices (None: all)
     wall_s : begin no further episode after so many real seconds; None: run all
+    reduce : look for the fewest faults that break the first failing episode
     """
 
     seed: int = 0
@@ -44,6 +45,7 @@ class Options:
     episode_s: float = EPISODE_S
     jobs: int = 0
     wall_s: float | None = None
+    reduce: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +157,7 @@ def rehearse(options: Options, progress: Callable[[str], None] = lambda _: None,
     for result in report.results:
         if result.violations:
             report.failures.append(Failure(result))
-    if report.failures and options.keep is None:
+    if report.failures and options.keep is None and options.reduce:
         report.failures[0] = shrink(report.failures[0], options, progress)
     return report
 

@@ -17,6 +17,9 @@ from fullswarm.deploy.fleet.login import Address, Login, Pins, key_fingerprint
 from fullswarm.deploy.fleet.remote import Answer, LinkBroke, Remote
 from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.deploy.release.manifest import Target
+from fullswarm.deploy.release.store import head_archive
+from fullswarm.deploy.robot.support_package import support_package
+from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import Unreachable
 from tests.system.ssh_lab import Lab
 from tests.system.ssh_robots import (
@@ -273,6 +276,52 @@ def test_back_to_the_release_before(lab: Lab) -> None:
     done = lab.ask("rollback")
     assert done["r1"]["result"] == "refused"
     assert "no release to roll back to" in done["r1"]["what"]
+
+
+def test_an_older_release_comes_back_only_when_it_is_asked_for_by_name(lab: Lab) -> None:
+    (robot,) = lab.add(1)
+    first = lab.release("1.0")
+    lab.deploy()
+    second = lab.release("1.1")
+    third = lab.release("1.2")
+    assert lab.ask("update")["r1"]["release"] == third
+    done = lab.ask("update", "--release", second)
+    assert (done["r1"]["result"], robot.current) == ("failed", third)
+    assert "--allow-older" in done["r1"]["what"]
+    assert lab.run("update", "--allow-older").exit_code == 2
+    done = lab.ask("update", "--release", first, "--allow-older")
+    assert (done["r1"]["result"], robot.current) == ("updated", first)
+    assert f"goes back to {first}" in (robot.root / "opt/fullswarm/trust/log").read_text()
+
+
+def test_new_keys_reach_robots_with_the_next_update_and_the_stolen_one_is_worth_nothing(lab: Lab) -> None:
+    (robot,) = lab.add(1)
+    first = lab.release("1.0")
+    lab.deploy()
+    stolen = lab.keys.root().releases[0].key
+    forged = lab.release("6.6")  # by who has the release key and the SSH key
+    lab.keys.rotate_release_key(revoked=[stolen])
+    second = lab.release("1.1")
+    done = lab.ask("update")
+    assert (done["r1"]["result"], robot.current) == ("updated", second), done
+    assert "\nversion 2\n" in (robot.root / "opt/fullswarm/trust/root").read_text()
+    head = head_archive(lab.store.get(forged))
+    answer = over_the_link(lab, lambda remote: remote.program("want", forged, feed=head))
+    assert (answer.code, "not one that this robot trusts" in answer.words) == (3, True)
+    assert lab.deploy()["r1"]["result"] == "unchanged"
+    assert lab.ask("rollback")["r1"]["result"] == "refused"  # the first one was signed by the stolen key
+    assert robot.current == second != first
+
+
+def test_an_ssh_key_alone_installs_no_support_package(lab: Lab) -> None:
+    (robot,) = lab.add(1)
+    lab.release("1.0")
+    lab.deploy()
+    config = load_fleet(lab.fleet)
+    archive = support_package(config.robot[0], config, lab.keys.roots()[-1], environment={"X": "evil"})
+    answer = over_the_link(lab, lambda remote: remote.program("install", feed=archive))
+    assert (answer.code, "kit.statement" in answer.words) == (3, True)
+    assert "evil" not in (robot.root / "etc/fullswarm/robot.env").read_text()
 
 
 def test_a_dry_run_says_what_it_would_do_and_does_nothing(lab: Lab) -> None:

@@ -138,6 +138,18 @@ def test_the_newest_stop_is_reported_until_something_is_started(bench: Bench) ->
     assert health(bench).halt is None
 
 
+def test_a_request_that_crossed_a_stop_is_ignored_until_the_core_knows_the_stop(bench: Bench) -> None:
+    assert drive(bench, "p", sequence=1, halts=())
+    bench.stop("s")
+    answers = len(bench.acks)
+    assert not drive(bench, "q", sequence=2, halts=("r",))
+    assert len(bench.acks) == answers, "it is neither accepted nor refused: it may have been made after the stop"
+    halt = health(bench).halt
+    assert halt is not None
+    assert halt.id == "s"
+    assert drive(bench, "q", sequence=2, halts=("r", "s")), "the same again, by a core that knows the stop"
+
+
 def test_several_spent_requests_are_remembered(bench: Bench) -> None:
     for name in ("a", "b", "c"):
         assert drive(bench, name)

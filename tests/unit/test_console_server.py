@@ -354,8 +354,10 @@ def test_operator_is_named_by_the_token_whatever_the_page_states(folder: Path, t
                 await other.send(json.dumps({"t": order, "ref": number, **extra}))
                 answer = await frame(other, "answer")
                 assert (answer["ok"], "observer" in answer["reason"]) == (False, True)
-            # Both are repeated, and there are no others.
-            assert len({each.id for each in served.stops}) == len({each.id for each in served.requests}) == 1
+            # Hers are repeated, and there are no others.
+            assert {each.source for each in served.stops} == {"console@base:1/1:anna"}
+            assert {each.source for each in served.requests} == {"console@base:1/1:anna"}
+            assert len({each.id for each in served.stops}) == 1
 
     run(folder, story, tokens=tokens)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.config.mission_file import parse_mission
-from fullswarm.messages import STOP, BehaviourRequest, ControlRequest, Message, MissionStatus
+from fullswarm.messages import STOP, BehaviourRequest, ControlRequest, EStop, Message, MissionStatus, StopRequest, Value
 from fullswarm.operator.missions import MissionClient
 from tests.unit.mission_lab import Killed, MortalStore
 from tests.unit.whole_swarm import KEYS, Whole
@@ -265,3 +265,48 @@ def test_a_stop_that_reaches_the_core_only_as_a_request_pauses_the_mission(lab: 
         assert lab.status is not None
         assert lab.status.phase == ("running" if robots == ("@nobody",) else "paused")
     assert lab.whole.drives_within(3.0) == []
+
+
+def test_a_request_made_before_a_stop_that_only_the_robot_received_starts_nothing(lab: Lab) -> None:
+    whole = lab.whole
+    goal: dict[str, Value] = {"goal": [40.0, 10.0]}
+
+    def ask(request_id: str, stamp_s: float) -> None:
+        request = BehaviourRequest(
+            id=request_id, behaviour="move_to_goal_bc", robots=("r0",), parameters=goal, source="op", clock="lab",
+            stamp_s=stamp_s,
+        )  # fmt: skip
+        whole.bus.publish(KEYS.behaviour_request, request)
+
+    ask("first", 1.0)
+    assert whole.drives_within(0.5) == ["r0"]
+    # Straight to the agent: on the way to the core it is lost.
+    whole.agents["r0"].inbox._on_stop(StopRequest(id="s", source="op", clock="lab", stamp_s=3.0))
+    ask("late", 2.0)
+    assert whole.drives_within(2.0) == []
+    assert whole.order_of("r0") != "late"
+    ask("newer", 4.0)
+    assert whole.drives_within(0.5) == ["r0"]
+    assert whole.running("r0") == "newer"
+
+
+@pytest.mark.parametrize("kind", [StopRequest, EStop])
+def test_a_request_made_before_a_stop_starts_nothing_when_it_arrives_after_it(
+    lab: Lab, kind: type[StopRequest | EStop]
+) -> None:
+    """It was repeated while the core could not be reached; the stop arrived first."""
+    whole = lab.whole
+    if kind is StopRequest:
+        whole.bus.publish(KEYS.stop, StopRequest(id="s", source="op", clock="lab", stamp_s=3.0))
+    else:
+        whole.bus.publish(KEYS.estop, EStop(id="s", engaged=True, source="op", clock="lab", stamp_s=3.0))
+        whole.run(0.5)
+        whole.bus.publish(KEYS.estop, EStop(id="c", engaged=False, source="op", clock="lab", stamp_s=4.0))
+    whole.run(1.5)
+    for request_id, stamp_s, drives in (("before", 2.0, []), ("after", 5.0, ["r1"])):
+        request = BehaviourRequest(
+            id=request_id, behaviour="move_to_goal_bc", robots=("r1",), parameters={"goal": [40.0, 10.0]},
+            source="other", clock="lab", stamp_s=stamp_s,
+        )  # fmt: skip
+        whole.bus.publish(KEYS.behaviour_request, request)
+        assert whole.drives_within(0.5) == drives

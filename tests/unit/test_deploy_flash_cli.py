@@ -18,6 +18,7 @@ import yaml
 from fullswarm.deploy.flash import card
 from fullswarm.deploy.fleet.login import Pins
 from fullswarm.deploy.release.keys import public
+from fullswarm.deploy.robot.support_package import RULE
 from tests.unit.flash_lab import FAT, FLEET, MEGA, PI_FILES, SECRET, Lab, files_of, fsck, make_image, make_release, tool
 
 
@@ -43,6 +44,7 @@ def test_a_card_holds_all_that_its_robot_needs(lab: Lab) -> None:
     user, net, meta = (yaml.safe_load(files[name]) for name in ("user-data", "network-config", "meta-data"))
     assert user["hostname"] == "r1"
     assert user["users"][0]["ssh_authorized_keys"] == [public(lab.keys.fleet_key())]
+    assert user["users"][0]["sudo"] == RULE
     assert user["ssh_keys"]["ed25519_private"] == lab.keys.host_key("lab", "r1").read_text()
     assert net["wifis"]["wlan0"]["regulatory-domain"] == "DE"
     assert meta["instance-id"] == said["cards"][0]["instance"]
@@ -314,3 +316,11 @@ def test_a_report_is_read_from_a_card(lab: Lab) -> None:
         assert (result.exit_code, result.stdout) == (code, text)
     said = json.loads(lab.flash("--report", str(folder), "--json").stdout)
     assert (said["ok"], said["report"]) == (False, "fullswarm, first boot of r1: FAILED\n")
+
+
+def test_a_user_with_all_of_sudo_is_asked_for(lab: Lab) -> None:
+    result, _ = lab.to_file("--full-sudo")
+    assert result.exit_code == 0, result.output
+    files = files_of(lab.folder / "r1.img")
+    assert yaml.safe_load(files["user-data"])["users"][0]["sudo"] == "ALL=(ALL) NOPASSWD:ALL"
+    assert b"SUDO=all\n" in files["fullswarm/card.env"]

@@ -15,6 +15,7 @@ from fullswarm.cli.main import app
 from fullswarm.deploy.flash.first_boot import HOME
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.store import Store
+from fullswarm.deploy.robot.support_package import RULE
 from tests.unit.flash_lab import FLEET, MEGA, PI_FILES, TRIXIE_FILES, files_of, make_image, make_release, tool
 
 SYSTEMCTL = """\
@@ -239,7 +240,7 @@ def test_a_card_that_loses_data_is_named_and_a_sound_one_mends_it(robot: Robot) 
 def test_a_release_of_another_base_is_not_taken(robot: Robot) -> None:
     head = robot.boot / "fullswarm/head.tar"
     data = head.read_bytes()
-    at = data.index(b"-----BEGIN SSH SIGNATURE-----") + 200
+    at = data.rindex(b"-----BEGIN SSH SIGNATURE-----") + 200
     head.write_bytes(data[:at] + (b"A" if data[at : at + 1] != b"A" else b"B") + data[at + 1 :])
     (robot.boot / "fullswarm/card.sha256").write_text("")
     subprocess.run(
@@ -305,6 +306,7 @@ def test_bookworm_is_set_up_by_firstrun(tmp_path: Path, cards: dict[str, dict[st
     assert (robot.root / "etc/hostname").read_text() == "r1\n"
     assert (robot.root / "etc/hosts").read_text() == "127.0.0.1\tlocalhost\n127.0.1.1\tr1\n"
     assert (robot.root / "home/fullswarm-admin/.ssh/authorized_keys").read_text().startswith("ssh-ed25519 ")
+    assert (robot.root / "etc/sudoers.d/fullswarm-admin").read_text() == f"fullswarm-admin {RULE}\n"
     assert (robot.root / "etc/ssh/ssh_host_ed25519_key").read_bytes() == private
     assert not (robot.root / "etc/ssh/ssh_host_rsa_key").exists()
     wifi = robot.root / "etc/NetworkManager/system-connections/wifi-1.nmconnection"

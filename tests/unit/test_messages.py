@@ -64,7 +64,7 @@ def test_another_version_is_named() -> None:
 
 
 def test_an_unknown_field_is_named() -> None:
-    data = msgspec.msgpack.encode({"kind": "StopRequest/1", "id": "x", "sneaky": 1})
+    data = msgspec.msgpack.encode({"kind": "StopRequest/2", "id": "x", "sneaky": 1})
     with pytest.raises(MessageError, match="sneaky"):
         decode(data, messages.StopRequest)
 

@@ -123,7 +123,7 @@ def test_a_stop_is_sent_five_times_with_one_id(swarm: Swarm) -> None:
     done: list[float] = []
     burst = swarm.operator.stop(["a"], lambda: done.append(swarm.time_s))
     swarm.runtime.run(2.0)
-    stop = StopRequest(id="id1", robots=("a",), source="test")
+    stop = StopRequest(id="id1", robots=("a",), source="test", stamp_s=100.0)
     dated = BehaviourRequest(id="id1", behaviour="stop", robots=("a",), source="test", operator="test", stamp_s=100.0)
     assert swarm.heard == [(time_s, each) for time_s in (0.0, 0.1, 0.2, 0.3, 0.4) for each in (stop, dated)]
     assert done == [0.4]

@@ -117,6 +117,9 @@ class Inbox:
             answer = self._answer(row, request, reason(Code.OTHER_CORE))
             self._bus.publish(self._keys.ack(request.robot), answer)
             return
+        if self._sent_before_halt(row, request):
+            self._wake()  # the next report tells the core
+            return
         core, sequence = self._newest[row]
         if request.core == core and request.sequence <= sequence:
             # Delivered again: nothing changes, but the answer may have been lost.
@@ -129,6 +132,11 @@ class Inbox:
         self._wake()  # the wheels before the answer
         self._answers[row] = answer = self._answer(row, request, why_not)
         self._bus.publish(self._keys.ack(request.robot), answer)
+
+    def _sent_before_halt(self, row: int, request: ControlRequest) -> bool:
+        """Tell whether the core did not know the robot's newest stop yet: it is ignored, and sent again if it holds."""
+        halt = self.halts[row]
+        return request.enable and halt is not None and request.halts is not None and halt.id not in request.halts
 
     def _answer(self, row: int, request: ControlRequest, why_not: Reason) -> ControlAck:
         task = self._tasks.of[row]
@@ -251,7 +259,7 @@ class Inbox:
         rows = self._addressed(stop.robots)
         for row in rows:
             self._halt(row, reason(Code.STOPPED, by=stop.source or "an operator"))
-            self._note_halt(row, stop.id, stop.source, estop=False)
+            self._note_halt(row, stop, estop=False)
         self._wake()
         self._keep_halts(rows)
 
@@ -266,7 +274,7 @@ class Inbox:
                 code = Code.ESTOP_ENGAGED if order.engaged else Code.ESTOP_RELEASED
                 self._halt(row, reason(code, by=order.source or "an operator"))
             if order.engaged:  # its release starts nothing, so the e-stop itself remains what the core must know
-                self._note_halt(row, order.id, order.source, estop=True)
+                self._note_halt(row, order, estop=True)
         self.estops.carry_out(order, rows, self._scheduler.now_s())
         if order.engaged:
             self._keep_halts(rows)
@@ -278,7 +286,7 @@ class Inbox:
         for row, robot in enumerate(self._fleet.ids):
             self.halts[row] = halt = folder.halt_of(robot, self._scheduler.now_s())
             if self._state.estop[row] and (halt is None or not halt.estop):
-                self._note_halt(row, "", "", estop=True)
+                self._note_halt(row, None, estop=True)
 
     def _halt(self, row: int, why: Reason) -> None:
         """Stop a robot and void all its requests, also for a core that does not receive the stop."""
@@ -286,10 +294,15 @@ class Inbox:
         self.void(row, why)
         self._drop(row)
 
-    def _note_halt(self, row: int, order_id: str, source: str, *, estop: bool) -> None:
+    def _note_halt(self, row: int, order: StopRequest | EStop | None, *, estop: bool) -> None:
         now_s = self._scheduler.now_s()
-        # Without an id it cannot be known again: each one counts.
-        self.halts[row] = Halt(id=order_id or f"unnamed {now_s:.3f}", source=source, estop=estop, stamp_s=now_s)
+        halt = Halt(id=f"unnamed {now_s:.3f}", estop=estop, stamp_s=now_s)
+        if order is not None:  # without an id it cannot be known again: each one counts
+            halt = Halt(
+                id=order.id or halt.id, source=order.source, estop=estop, stamp_s=now_s,
+                clock=(order.clock or order.source) if order.stamp_s else "", ordered_s=order.stamp_s,
+            )  # fmt: skip
+        self.halts[row] = halt
 
     def _keep_halts(self, rows: Iterable[int]) -> None:
         """Keep the stops of these robots on disk; the wheels come first. A flood is written now and then."""

@@ -17,6 +17,7 @@ from importlib.resources import files
 from typing import Any
 
 from fullswarm.deploy.flash.wifi import COUNTRIES, Network
+from fullswarm.deploy.robot.support_package import RULE
 from fullswarm.errors import ConfigError, MissingExtra
 
 HOME = "/opt/fullswarm/flash"
@@ -198,6 +199,7 @@ class FirstBoot:
     country: str = ""
     static: Static | None = None
     instance: str = ""
+    full_sudo: bool = False  # else the user may run `fullswarm-robot` alone as root
 
 
 def new_instance(robot: str) -> str:
@@ -303,7 +305,7 @@ def after_install(boot: FirstBoot) -> dict[str, Any]:
             "gecos": "fullswarm",
             "shell": "/bin/bash",
             "groups": ["adm", "systemd-journal"],
-            "sudo": "ALL=(ALL) NOPASSWD:ALL",
+            "sudo": "ALL=(ALL) NOPASSWD:ALL" if boot.full_sudo else RULE,
         }
     return {
         "hostname": boot.hostname,

@@ -6,7 +6,7 @@ set -u
 ROOT=${FULLSWARM_ROOT-}
 BOOT=$(cd "$(dirname "$0")" && pwd)
 CARD=$BOOT/fullswarm
-. "$CARD/card.env" # ROBOT NAME ADMIN COUNTRY: plain words only
+. "$CARD/card.env" # ROBOT NAME ADMIN COUNTRY SUDO: plain words only
 failed=
 
 try() { # DESCRIPTION COMMAND...: go on after an error, but note it
@@ -30,7 +30,9 @@ add_admin() {
         id "$ADMIN" >/dev/null 2>&1 || useradd -m -s /bin/bash "$ADMIN" || return 1
         home=$ROOT$(getent passwd "$ADMIN" | cut -d: -f6)
         usermod -L -a -G adm,systemd-journal "$ADMIN"
-        printf '%s ALL=(ALL) NOPASSWD:ALL\n' "$ADMIN" >"$ROOT/etc/sudoers.d/fullswarm-admin" || return 1
+        rule='ALL=(root) NOPASSWD: /opt/fullswarm/bin/fullswarm-robot'
+        [ "$SUDO" != all ] || rule='ALL=(ALL) NOPASSWD:ALL'
+        printf '%s %s\n' "$ADMIN" "$rule" >"$ROOT/etc/sudoers.d/fullswarm-admin" || return 1
         chmod 440 "$ROOT/etc/sudoers.d/fullswarm-admin"
     fi
     mkdir -p -m 700 "$home/.ssh" && cp "$CARD/secret/authorized_keys" "$home/.ssh/authorized_keys" || return 1

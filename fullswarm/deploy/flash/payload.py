@@ -66,6 +66,7 @@ class Surroundings:
     networks: tuple[Network, ...] = ()
     country: str = ""
     router: str | None = None  # 10.0.0.1/24: fixed addresses
+    full_sudo: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +120,7 @@ def first_boot_of(robot: RobotConfig, keys: Keys, around: Surroundings) -> First
         country=around.country,
         static=static_of(robot.host, around.router, robot.id),
         instance=new_instance(robot.id),
+        full_sudo=around.full_sudo,
     )
 
 
@@ -161,6 +163,7 @@ def boot_files(
             "NAME": boot.hostname,
             "ADMIN": boot.user,
             "COUNTRY": boot.country,
+            "SUDO": "all" if boot.full_sudo else "robot",
             "HUB": around.config.hub.endpoint,
             "RELEASE": shipment.id,
             "FILES": str(shipment.files),

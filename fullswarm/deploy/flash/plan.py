@@ -45,6 +45,7 @@ class FlashRequest:
     most_bytes: int = card.MOST_BYTES
     wait_minutes: float | None = None
     hub: str | None = None
+    full_sudo: bool = False
     dry_run: bool = False
     as_json: bool = False
 

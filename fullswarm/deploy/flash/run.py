@@ -69,7 +69,7 @@ def _run(request: FlashRequest, keys: Keys) -> int:
     targets = _targets(request, robots)
     fat.check_tools()
     networks, country = wifi.gather(request.wifi_file, request.wifi, request.country, _ask_passphrase)
-    around = Surroundings(config, networks, country, request.static)
+    around = Surroundings(config, networks, country, request.static, request.full_sudo)
     extras = frozenset().union(*(extras_needed(each, config) for each in robots))
     shipment = release_for(request.release, request.target, request.image, keys, extras)
     output.progress(f"release {shipment.id}: signature good, {len(shipment.body) / 1e6:.1f} MB on the card")

@@ -1,5 +1,50 @@
-# Sourced by fullswarm-robot: the information that the base reads.
+# Sourced by fullswarm-robot: the information that the base reads, and how root deals with files of the agent's user.
 # shellcheck shell=sh disable=SC2154
+
+AGENT_USER=${FULLSWARM_AGENT_USER:-fullswarm}
+MOST_HEALTH=65536 # bytes
+
+other_user() { # the agent is another user, whose files root must not touch
+    [ "$(id -u)" -eq 0 ] && { [ -z "$ROOT" ] || [ -n "${FULLSWARM_AGENT_USER:-}" ]; }
+}
+
+as_agent() { # SECONDS COMMAND...: as the agent's user, among its files; killed after so long, even if it was stopped
+    limit_s=$1
+    shift
+    ! other_user || set -- setpriv --reuid="$AGENT_USER" --regid="$(id -g "$AGENT_USER")" --init-groups --no-new-privs "$@"
+    timeout --foreground -k 1 "$limit_s" "$@" 9>&-
+}
+
+take_health() { # sets health: the agent's report, or nothing. Its user may have put there a link, a FIFO, or any text
+    health=''
+    mkdir -p "$RUN" && chmod 700 "$RUN" && copy=$(mktemp "$RUN/health.XXXXXX") || return
+    # Into a file: a pipe could be kept open for ever by a process of that user.
+    as_agent 3 dd if="$HEALTH" iflag=nofollow,nonblock bs="$MOST_HEALTH" count=1 status=none > "$copy" 2> /dev/null &&
+        health=$(head -c "$MOST_HEALTH" "$copy" | tr -cd '\n -~' | plain_json)
+    rm -f "$copy"
+    [ -n "$health" ]
+}
+
+plain_json() { # one object of plain values and lists of texts, written again: nothing in it ends the object early
+    awk '
+        BEGIN {
+            hex = "[0-9a-fA-F]"
+            text = "\"([^\"\\\\]|\\\\[\"\\\\/bfnrt]|\\\\u" hex hex hex hex ")*\""
+            number = "-?(0|[1-9][0-9]*)([.][0-9]+)?([eE][-+]?[0-9]+)?"
+            value = "(" text "|" number "|true|false|null|\\[\\]|\\[" text "\\])"
+        }
+        function bad() { wrong = 1; exit }
+        NR == 1 { if ($0 != "{") bad(); next }
+        closed { bad() }
+        $0 == "}" && !list { closed = 1; next }
+        { sub(/,$/, "") }
+        list && $0 ~ "^  " text "$" { lines = lines comma "\n" $0; comma = ","; next }
+        list && $0 == " ]" { lines = lines "\n ]"; list = 0; between = ",\n"; next }
+        !list && /^ "[a-z0-9_]+": \[$/ { lines = lines between $0; list = 1; comma = ""; next }
+        !list && $0 ~ "^ \"[a-z0-9_]+\": " value "$" { lines = lines between $0; between = ",\n"; next }
+        { bad() }
+        END { if (!wrong && closed) print "{\n" lines "\n}" }'
+}
 
 text() { # TEXT: as a JSON string
     printf '"%s"' "$(printf '%s' "$*" | tr -d '\000-\037\177' | sed 's/\\/\\\\/g; s/"/\\"/g')"
@@ -82,7 +127,7 @@ card_errors() { # errors of the card or its file system in the kernel's log; not
 }
 
 health_or_null() {
-    if fresh && [ -s "$HEALTH" ]; then cat "$HEALTH"; else printf null; fi
+    if take_health && fresh; then printf '%s' "$health"; else printf null; fi
 }
 
 facts() { # one JSON object
@@ -139,10 +184,10 @@ FACTS
 
 health() { # [--healthy]: the health file while it is new and of the release that should run; 1: not healthy
     case $#${1:-} in 0 | 1--healthy) ;; *) usage "health [--healthy]" ;; esac
-    [ -s "$HEALTH" ] || fail "the agent has written no health yet"
+    take_health || fail "the agent has written no health yet"
     fresh || fail "the agent's health is $(health_age_s 2>/dev/null || printf '?') s old"
     [ "$(say_field release)" = "$(current)" ] || fail "the agent still runs $(say_field release)"
-    cat "$HEALTH"
+    printf '%s\n' "$health"
     [ $# -eq 0 ] || [ "$(say_field healthy)" = true ]
 }
 

@@ -136,8 +136,8 @@ want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig, STATEMENT; s
     check_sums "$work/SHA256SUMS"
     check_manifest "$work" "$id"
     check_machine "$work/manifest.json"
+    [ "$(field "$work/text" older)" != yes ] || known release || note "goes back to $id, asked for and signed by $signer"
     remember release
-    [ "$(field "$work/text" older)" != yes ] || note "goes back to $id, as was asked for and signed by $signer"
     if [ -d "$RELEASES/$id" ]; then # it may be signed anew
         cmp -s "$work/STATEMENT" "$RELEASES/$id/STATEMENT" || {
             cp "$work/STATEMENT" "$RELEASES/$id/.STATEMENT" && settle "$RELEASES/$id/.STATEMENT" &&
@@ -238,7 +238,7 @@ finish() { # FOLDER ID: nothing extra, plain modes, on the disk; then it gets it
     (cd "$1" && xargs -r -d '\n' rm -f < "$work/extra")
     find "$1" -mindepth 1 -type d -empty -delete
     find "$1" \( -perm /7022 -o -type f ! -perm -444 -o -type d ! -perm -555 \) -exec chmod u=rwX,go=rX {} +
-    [ -n "$ROOT" ] || keep_bytecode "$1" "$2"
+    ! other_user || keep_bytecode "$1" "$2"
     sync -f "$1" 2>/dev/null || sync
     mv -T "$1" "$RELEASES/$2" || fail "cannot name $RELEASES/$2"
     settle "$RELEASES"
@@ -252,7 +252,7 @@ keep_bytecode() { # FOLDER ID: what Python has compiled of files that stay the s
     sort "$1/SHA256SUMS" | comm -23 - "$work/there" | cut -c67- |
         sed -n "s|\.py\$|.cpython-$tag.pyc|p" > "$work/stale"
     # As the agent's user, whose folder that is: root follows no link that another has laid.
-    runuser -u fullswarm -- sh -c '
+    as_agent 120 sh -c '
         cd "$1" && rm -rf "$3" "$3.new" && cp -al "$2" "$3.new" && cd "$3.new" && xargs -r -d "\n" rm -f &&
             mv -T "../$3.new" "../$3"
         ' sh "$CACHE/opt/fullswarm/releases" "$was" "$2" < "$work/stale" 2> /dev/null || :

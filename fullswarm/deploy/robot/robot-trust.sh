@@ -81,8 +81,12 @@ check_signed() { # DOCUMENT KIND: valid key, in time, not older than the newest;
         refuse "another $2 has the same number"
 }
 
+known() { # KIND: the statement that check_signed has accepted is the newest that was verified before
+    [ "$(cut -d' ' -f2 "$TRUST/newest-$1" 2>/dev/null)" = "$statement" ]
+}
+
 remember() { # KIND: the statement that check_signed has accepted
-    [ "$(cut -d' ' -f2 "$TRUST/newest-$1" 2>/dev/null)" = "$statement" ] ||
+    known "$1" ||
         write_file "$TRUST/newest-$1" "$number $statement $signer" || fail "cannot write $TRUST"
 }
 

@@ -55,6 +55,8 @@ ISSUED_TO = "etc/fullswarm/identity"
 """The robot's certificate, its key and the authority's certificate: mode 0600, of the agent's user."""
 RENEWED_TO = "/var/lib/fullswarm/identity"
 """Where the agent keeps them while it runs, and renews the certificate."""
+RULE = "ALL=(root) NOPASSWD: /opt/fullswarm/bin/fullswarm-robot"
+"""What the SSH user may do as root."""
 
 _USER = re.compile(r"[a-z_][a-z0-9_-]{0,31}\Z")
 _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
@@ -215,7 +217,7 @@ def robot_env(robot: RobotConfig, config: SwarmConfig, environment: Mapping[str,
 def _sudoers(user: str) -> str:
     if not _USER.match(user):
         raise ConfigError(f"'{user}' is not a valid user", where="ssh_user", hint="a plain Linux login: a-z, 0-9, - _")
-    return f"{user} ALL=(root) NOPASSWD: /opt/fullswarm/bin/fullswarm-robot\n"
+    return f"{user} {RULE}\n"
 
 
 def _mode(name: str) -> int:

@@ -1,0 +1,229 @@
+"""The judge of a rehearsal sees each thing that must not be, and nothing where all is well."""
+
+from __future__ import annotations
+
+import pytest
+
+from fullswarm.messages import (
+    Command,
+    ControlAck,
+    ControlRequest,
+    EStop,
+    HealthReport,
+    Heartbeat,
+    Lease,
+    Leases,
+    RequestStatus,
+    RobotHealth,
+    StopRequest,
+)
+from fullswarm.rehearse.judge import Ask, Judge
+
+
+class Scene:
+    """Two robots; `r1` runs a request that was made at 1 s."""
+
+    def __init__(self, behaviour: str = "rendezvous_bc", kind: str = "request") -> None:
+        self.t, self.hub_gone_s = 1.0, float("inf")
+        self.judge = Judge(("r1", "r2"), lambda: self.t, lambda _: self.hub_gone_s)
+        self.judge.asked(Ask(1.0, "ann", kind, "q", ("r1",), behaviour))
+        self.at(1.1)
+        self.beat()
+        self.accept("q", 1, expires_s=0.3 if kind == "stick" else 0.0)
+        self.command("q")
+
+    def at(self, t: float) -> None:
+        self.t = t
+
+    def beat(self) -> None:
+        self.judge.handled("r1", Heartbeat(node="core", process="c", sequence=1))
+
+    def command(self, request_id: str) -> None:
+        self.judge.handled(
+            "r1",
+            Command(
+                robot="r1", request_id=request_id, linear_m_s=0.1, angular_rad_s=0.0, ttl_s=0.3, sequence=9, stamp_s=0.0
+            ),
+        )
+
+    def accept(self, request_id: str, sequence: int, *, expires_s: float = 0.0) -> None:
+        request = ControlRequest(
+            request_id=request_id, robot="r1", behaviour="b", enable=True, core="c", sequence=sequence,
+            expires_s=expires_s,
+        )  # fmt: skip
+        self.judge.handled("r1", request)
+        ack = ControlAck(
+            request_id=request_id, robot="r1", behaviour="b", enabled=True, accepted=True, core="c", sequence=sequence
+        )
+        self.judge.published("r1", ack)
+
+    def stop(self, at_s: float) -> None:
+        self.judge.asked(Ask(at_s, "bob", "stop", "s", ("r1", "r2")))
+        self.judge.handled("r1", StopRequest(id="s"))
+
+    def estop(self, order_id: str, *, engaged: bool) -> None:
+        order = EStop(id=order_id, engaged=engaged)
+        self.judge.asked(Ask(self.t, "bob", "e-stop" if engaged else "release", order_id, ("r1", "r2")))
+        self.judge.published("bob", order)
+        self.judge.handled("r1", order)
+
+    def report(self, request_id: str, *, estop: bool = False) -> None:
+        health = RobotHealth(
+            robot="r1", driver="", make="", model="", firmware="", lifecycle="ACTIVE", estop=estop,
+            behaviour="b" if request_id else "", request_id=request_id,
+        )  # fmt: skip
+        self.judge.published("r1", HealthReport(host="r1", process="r1-1", version="", robots=(health,)))
+
+    def status(self, request_id: str, phase: str = "running") -> None:
+        status = RequestStatus(request_id=request_id, behaviour="b", phase=phase, robots=("r1",))  # type: ignore[arg-type]
+        self.judge.published("core", status)
+
+    def moves(self) -> list[str]:
+        self.judge.commanded("r1", 0.2, 0.0)
+        return self.kinds()
+
+    def kinds(self) -> list[str]:
+        return [each.kind for each in self.judge.violations]
+
+
+def test_a_motion_for_what_was_asked() -> None:
+    scene = Scene()
+    assert scene.moves() == []
+    scene.judge.commanded("r2", 0.0, 0.0)
+    assert scene.kinds() == []
+    scene.judge.commanded("r2", 0.0, 0.1)
+    assert scene.kinds() == ["motion"], "it was asked for nothing"
+
+
+def test_a_motion_of_an_agent_that_has_been_started_again_and_accepted_nothing() -> None:
+    scene = Scene()
+    scene.judge.died("r1")
+    scene.beat()
+    assert scene.moves() == ["motion"]
+
+
+def test_a_request_that_nobody_made() -> None:
+    scene = Scene()
+    scene.accept("forged", 2)
+    assert scene.moves() == ["motion"]
+
+
+def test_a_stop_counts_for_what_was_requested_before_it() -> None:
+    scene = Scene()
+    scene.at(2.0)
+    scene.beat()
+    scene.stop(1.5)
+    assert scene.moves() == [], "in the same period"
+    scene.at(2.03)
+    scene.accept("q", 2)
+    assert "stop" in scene.moves()
+    scene = Scene()
+    scene.at(2.0)
+    scene.stop(0.5)
+    scene.at(2.03)
+    scene.beat()
+    scene.accept("q", 1)
+    assert scene.moves() == [], "it was made before the request"
+
+
+def test_a_latch_holds_through_restarts_until_a_newer_release() -> None:
+    scene = Scene()
+    scene.at(2.0)
+    scene.estop("e", engaged=True)
+    scene.judge.died("r1")
+    scene.at(2.5)
+    scene.beat()
+    scene.report("", estop=True)
+    assert scene.kinds() == []
+    scene.report("", estop=False)
+    assert scene.kinds() == ["e-stop"]
+    scene.at(3.0)
+    scene.estop("c", engaged=False)
+    scene.judge.asked(Ask(3.1, "ann", "request", "r", ("r1",), "rendezvous_bc"))
+    scene.at(3.2)
+    scene.accept("r", 5)
+    assert scene.moves() == ["e-stop"], "nothing new"
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "kind", "silent_s", "wrong"),
+    [
+        ("rendezvous_bc", "request", 1.01, False),
+        ("rendezvous_bc", "request", 1.03, True),
+        ("voronoi_centralised_bc", "request", 0.31, False),
+        ("voronoi_centralised_bc", "request", 0.33, True),
+        ("drive_bc", "stick", 0.31, False),
+        ("drive_bc", "stick", 0.33, True),
+    ],
+)
+def test_a_motion_in_silence(behaviour: str, kind: str, silent_s: float, wrong: bool) -> None:
+    scene = Scene(behaviour, kind)
+    scene.at(1.1 + silent_s)
+    assert scene.moves() == ["silence"] * wrong
+
+
+def test_a_motion_without_a_hub_and_without_readings() -> None:
+    scene = Scene()
+    scene.hub_gone_s = 1.0
+    assert scene.moves() == ["silence"]
+    scene = Scene()
+    scene.judge.deceived("r1", 0.7)
+    assert scene.moves() == ["silence"]
+
+
+def test_a_body_that_goes_on_and_one_that_touches() -> None:
+    scene = Scene()
+    scene.moves()
+    scene.at(1.7)
+    scene.judge.stepped((0.3, 0.0), ())
+    assert scene.kinds() == []
+    scene.at(1.75)
+    scene.judge.stepped((0.3, 0.0), ())
+    assert scene.kinds() == ["standing"]
+    scene.judge.stepped((0.0, 0.0), ((0, 1),))
+    scene.judge.stepped((0.0, 0.0), ((0, 1),))
+    assert scene.kinds() == ["standing", "contact"], "once"
+    scene = Scene()
+    scene.judge.hindered("r2")
+    scene.judge.stepped((0.0, 0.0), ((0, 1),))
+    assert scene.kinds() == []
+    assert scene.judge.excused == 1
+
+
+def test_a_request_that_is_carried_out_twice_and_an_older_one_after_a_newer() -> None:
+    scene = Scene()
+    scene.accept("q", 1)
+    assert scene.kinds() == [], "the same answer again"
+    scene.accept("q", 3)
+    assert scene.kinds() == ["twice"]
+    scene.accept("p", 2)
+    assert scene.kinds() == ["twice", "twice"]
+
+
+def test_two_holders_and_a_request_of_another_operator() -> None:
+    scene = Scene()
+    leases = (Lease(robot="r1", operator="bob", age_s=0.0), Lease(robot="r2", operator="bob", age_s=0.0))
+    scene.judge.published("core", Leases(leases=leases, core="c", sequence=1))
+    scene.at(2.0)
+    scene.status("q")
+    assert scene.kinds() == ["lease"]
+    twice = (*leases, Lease(robot="r1", operator="ann", age_s=0.0))
+    scene.judge.published("core", Leases(leases=twice, core="c", sequence=2))
+    assert scene.kinds() == ["lease", "lease"]
+
+
+def test_what_is_left_at_the_end() -> None:
+    scene = Scene()
+    scene.status("q")
+    scene.report("q")
+    scene.judge.finish((), (), {"ann": ("r1",), "bob": ("r2",)})
+    assert scene.kinds() == []
+    scene.report("")
+    scene.judge.finish(("x",), (), {"ann": ("r1",), "bob": ("r1",)})
+    assert scene.kinds() == ["unanswered", "lease", "last"]
+
+
+def test_an_error_of_a_node() -> None:
+    scene = Scene()
+    scene.judge.raised("core", "ValueError: no")
+    assert scene.kinds() == ["error"]
