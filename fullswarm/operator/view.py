@@ -51,9 +51,6 @@ PROCESSES_S = 3.0
 AGAIN_S = 30.0
 """How long a restart is shown."""
 
-SHOWN_S = 60.0
-"""A robot that has fallen silent is shown for so long at least: people must notice."""
-
 _NO_STATE = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
 
@@ -197,7 +194,7 @@ class FleetView:
         self._actuators: dict[str, tuple[float, dict[str, dict[str, str]]]] = {}  # by host
         self._nodes: dict[str, tuple[float, Heartbeat]] = {}
         self._summaries: Recent[str, Summary] = Recent(MOST_METRICS)
-        self._robots = Names(STRANGERS, self._forget_robot, self._expected, SHOWN_S)
+        self._robots = Names(STRANGERS, self._forget_robot, self._expected)
         self._hosts = Names(STRANGERS, self._forget_host)
         self._node_names = Names(MOST_NODES, self._forget_node)
         self._request: RequestStatus | None = None
