@@ -16,7 +16,8 @@ from fullswarm.errors import ConfigError, FullswarmError
 from fullswarm.identity.authority import Authority, list_certificates
 from fullswarm.identity.certificates import check_signed, make_request, parse_certificate, read_certificate, when
 from fullswarm.identity.credentials import Credentials
-from fullswarm.identity.folder import KeysFolder, read_pem
+from fullswarm.identity.folder import KeysFolder
+from fullswarm.identity.private import read_pem
 from fullswarm.keys import Keys
 from fullswarm.messages import CertificateReply, CertificateRequest
 from fullswarm.runtime import Scheduler, Timer

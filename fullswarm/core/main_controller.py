@@ -153,7 +153,9 @@ class MainController:
     def _record_stop(self, request: BehaviourRequest | StopRequest | EStop) -> None:
         """Record when a stop or e-stop was sent: what was requested before it must not start robots after it."""
         known = self._roster.known()
-        robots = set(self._groups.expand(request.robots)).intersection(known) if request.robots else known
+        # Robots know no groups: in a stop for all to hear a group is a misspelt name, and no stop is refused for one.
+        names = self._groups.expand(request.robots) if isinstance(request, BehaviourRequest) else request.robots
+        robots = set(names).intersection(known) if request.robots else known
         self._handler.note_halt(robots, request.id)
         for robot in robots:
             self._request_order.stop(robot, request.id, request.clock or request.source, request.stamp_s)

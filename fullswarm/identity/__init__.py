@@ -5,7 +5,8 @@ Files:
 ``access.py``        who may publish and receive each key; the hub's access list made of it
 ``binding.py``       checks the names in a message against the name of its sender
 ``credentials.py``   roles, the files by which a process proves its name, the list of valid certificates
-``folder.py``        where these files lie, and whether they are private and whole
+``private.py``       whether names are valid, and files private and whole
+``folder.py``        where these files lie, and which certificates are valid
 ``certificates.py``  what a certificate states; keys and signing requests
 ``authority.py``     issues, renews, revokes and lists certificates
 """

@@ -24,7 +24,8 @@ from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.identity import certificates
 from fullswarm.identity.certificates import DAY_S, Certificate, when
 from fullswarm.identity.credentials import Credentials, Grant, Role, check_grants
-from fullswarm.identity.folder import KeysFolder, check_name, check_private, read_pem
+from fullswarm.identity.folder import KeysFolder
+from fullswarm.identity.private import check_name, check_private, read_pem
 
 AUTHORITY_DAYS = 3650.0
 DAYS = 30.0

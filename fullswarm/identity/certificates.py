@@ -25,7 +25,7 @@ except ModuleNotFoundError as missing:
     raise MissingExtra("certificates need the package cryptography", hint="pip install 'fullswarm[keys]'") from missing
 
 from fullswarm.identity.credentials import ROLES, Role
-from fullswarm.identity.folder import check_name, read_pem
+from fullswarm.identity.private import check_name, read_pem
 
 ISSUED_AT = x509.ObjectIdentifier("2.25.229842604379063917415925180712098157621")
 """Extension with the time of issue, ASCII seconds since 1970; an identifier from a UUID needs no registration."""

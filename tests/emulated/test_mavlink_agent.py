@@ -68,7 +68,7 @@ def test_no_e_stop_of_a_creeping_rover_is_confirmed(rover: Rover) -> None:
 
 
 def test_a_rover_without_satellites_stands_and_says_why(rover: Rover) -> None:
-    rover.drive(1.0)
+    rover.drive()
     rover.until(lambda: rover.body.state().speed_m_s > 0.98)
     rover.runtime.run(1.5)
     rolled_m, lost_s = rover.body.state().rolled_m, rover.runtime.now_s()

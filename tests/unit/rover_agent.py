@@ -123,12 +123,12 @@ class RoverAgent:
     def standing(self) -> bool:
         return bool(self.agent.standstill.at_standstill[0])
 
-    def drive(self, speed_m_s: float) -> None:
-        """Ask for a straight drive."""
+    def drive(self) -> None:
+        """Ask for a straight drive, as fast as the rover may."""
         request = ControlRequest(
             request_id=f"q{next(self._orders)}", robot="r1", behaviour="move_to_goal", law="move_to_goal",
             enable=True, core="c", sequence=next(self._sequence),
-            parameters={"goal": [75.0, 0.0], "gain": 1.0, "arrive_radius_m": 0.2, "speed_m_s": speed_m_s},
+            parameters={"goal": [75.0, 0.0], "gain": 1.0, "arrive_radius_m": 0.2},
         )  # fmt: skip
         self.bus.publish(KEYS.control_requests("r1", "move_to_goal"), request)
 

@@ -109,7 +109,7 @@ def test_a_standing_rover_is_never_said_to_move() -> None:
 
 def test_a_driving_rover_is_confirmed_when_it_has_come_to_rest() -> None:
     lab = Lab(5)
-    lab.drive(1.0)
+    lab.drive()
     lab.until(lambda: lab.truth.speed_m_s > 0.95)
     begun_m = lab.truth.rolled_m
     order, pressed_s = lab.estop()

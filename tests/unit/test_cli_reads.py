@@ -21,6 +21,8 @@ DOERS = {
         "shell",
         "study run",
     ),  # move, or wait for, people
+    *("keys issue", "keys renew", "keys revoke", "console tokens add", "console tokens revoke"),
+    *("signing root", "signing rotate", "signing revoke"),  # make and withdraw keys
     *(
         "experiment replay",
         "results export",

@@ -32,7 +32,7 @@ def release(tmp_path: Path) -> Path:
 
 def test_the_head_is_what_a_robot_judges_by(release: Path) -> None:
     with tarfile.open(fileobj=io.BytesIO(head_archive(release))) as file:
-        assert file.getnames() == ["manifest.json", "SHA256SUMS", "SHA256SUMS.sig"]
+        assert file.getnames() == ["manifest.json", "SHA256SUMS", "SHA256SUMS.sig", "STATEMENT"]
 
 
 def test_gnu_tar_unpacks_the_stream_without_a_word(release: Path, tmp_path: Path) -> None:

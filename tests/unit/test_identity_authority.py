@@ -27,7 +27,8 @@ from fullswarm.identity.certificates import (
     read_certificate,
 )
 from fullswarm.identity.credentials import FIXED, UNNAMED
-from fullswarm.identity.folder import LONGEST_NAME, KeysFolder, read_pem
+from fullswarm.identity.folder import KeysFolder
+from fullswarm.identity.private import LONGEST_NAME, read_pem
 from fullswarm.keys import TRUTH
 
 TAKEN = {*FIXED, UNNAMED, TRUTH}

@@ -102,7 +102,7 @@ def test_a_silent_receiver_looks_good_for_four_seconds_and_a_covered_one_does_no
 # ------------------------------------------------------------------ the agent
 def driving(seed: int = 0, **settings: float) -> Lab:
     lab = Lab(seed, **settings)
-    lab.drive(1.0)
+    lab.drive()
     lab.until(lambda: lab.truth.speed_m_s > 0.98)
     lab.runtime.run(1.0 + 0.07 * seed)  # at any moment between two fixes
     assert lab.reason is StopReason.MOVING
@@ -151,7 +151,7 @@ def test_after_the_firmware_s_failsafe_it_does_not_move_by_itself() -> None:
     rolled_m = lab.truth.rolled_m
     lab.runtime.run(5.0)
     assert lab.truth.rolled_m == pytest.approx(rolled_m, abs=0.01)
-    lab.drive(1.0)
+    lab.drive()
     lab.until(lambda: lab.truth.speed_m_s > 0.9, 5.0)
     lab.close()
 

@@ -39,7 +39,7 @@ from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.files import replace_file
-from fullswarm.identity.folder import usable
+from fullswarm.identity.private import usable
 from fullswarm.operator import session
 
 PROGRESS_S = 2.0

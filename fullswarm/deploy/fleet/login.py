@@ -20,7 +20,7 @@ import typer
 from fullswarm import output
 from fullswarm.deploy.fleet.remote import Remote, clean, closing
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable, did_you_mean
-from fullswarm.identity.folder import usable
+from fullswarm.identity.private import usable
 
 if TYPE_CHECKING:
     from fullswarm.config import RobotConfig, SwarmConfig

@@ -44,7 +44,8 @@ from fullswarm.deploy.release.trust import (
 )
 from fullswarm.errors import ConfigError
 from fullswarm.files import replace_file
-from fullswarm.identity.folder import KEYS, keys_folder, usable
+from fullswarm.identity.folder import KEYS, keys_folder
+from fullswarm.identity.private import usable
 
 _NAME = re.compile(r"[0-9A-Za-z_][0-9A-Za-z_.-]*")
 _RELEASE = "release_ed25519"
