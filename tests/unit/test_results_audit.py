@@ -20,7 +20,7 @@ from fullswarm.evaluate.experiment.outcomes import Outcome
 from fullswarm.evaluate.experiment.plan import Cell, Trial
 from fullswarm.evaluate.lockstep_swarm import widened
 from fullswarm.evaluate.provenance import Provenance
-from fullswarm.evaluate.results.audit import Audited, audit, audit_trial
+from fullswarm.evaluate.results.audit import Audited, arrival_problem, audit, audit_trial
 from fullswarm.evaluate.results.recount import recount
 from fullswarm.evaluate.trial_folder import (
     EVIDENCE_FILE,
@@ -284,3 +284,33 @@ def test_a_gap_between_poses_that_cannot_be_seen_is_undecided() -> None:
     assert counted.contradictions == []
     assert counted.robot_events.most == 0  # none is recorded
     assert counted.bound_m[0] == pytest.approx(sagitta_m, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("end_s", "verdict"), [(2.0, ""), (1.0, ""), *((each, "all arrived") for each in (1.5, 2.5, 3.2))]
+)
+def test_that_all_arrived_is_held_against_when_they_were_there_for_long_enough_to_be_seen(
+    end_s: float, verdict: str
+) -> None:
+    """A trial looks each 0.1 s: that all were at their goals for 0.06 s may escape it, for half a second it may not."""
+    step_s = 0.02
+    times_s = np.arange(1, 200) * step_s
+    there = ((times_s >= 1.0) & (times_s < 1.06)) | ((times_s >= 2.0) & (times_s < 2.5)) | (times_s >= 3.2)
+    place = np.where(there, 0.05, 0.2)
+    motion = np.zeros((200, 1, 5))
+    motion[1:, 0, 0], motion[0, 0, 0] = place, 0.2
+    motion = np.diff(np.round(motion / 1e-5).astype(np.int32), axis=0, prepend=np.int32(0))
+    none = np.zeros(0, np.int32)
+    counted = recount(
+        {
+            "ids": np.array(["a"]), "radius_m": np.array([0.17]), "obstacles": np.zeros((0, 6)),
+            "step_s": np.array(step_s), "touch_m": np.array(0.002), "part_s": np.array([step_s]),
+            "limits": np.full((1, 2), 10.0), "goals": np.zeros((1, 2)), "goal_radius_m": np.array(0.1),
+            "xy": motion[:, :, :2], "heading": motion[:, :, 2], "command": motion[:, :, 3:],
+            "mover_radius_m": np.zeros(0), "mover_xy": np.zeros((199, 0, 2), np.int32),
+            "above": np.zeros((0, 4)), "bend_step": none, "bend_robot": none, "bend": np.zeros((0, 1, 2), np.int32),
+        }
+    )  # fmt: skip
+    assert [round(from_s, 3) for from_s, _ in counted.all_there_s] == [1.0, 2.0, 3.2]
+    problem = "; ".join(arrival_problem(counted, end_s, slack_s=step_s))
+    assert problem[: len("all arrived")] == verdict

@@ -204,15 +204,25 @@ def _compare(
     yield from _gaps(stored, counted)
 
 
+def arrival_problem(counted: Recount, end_s: float, slack_s: float) -> Iterator[str]:
+    """Yield why a trial cannot have ended at `end_s` because all had arrived.
+
+    A trial looks each `CHECK_S`: it may miss that all were at their goals for a shorter time.
+    """
+    spans = counted.all_there_s
+    seen = next((k for k, (from_s, to_s) in enumerate(spans) if to_s - from_s > CHECK_S + slack_s), len(spans))
+    first_s = [from_s for from_s, _ in spans[: seen + 1]]
+    if not any(-slack_s <= end_s - each <= CHECK_S + slack_s for each in first_s):
+        recounted = ", ".join(f"{each:.3f}" for each in first_s) or "never"
+        yield f"all arrived at {end_s} s, recounted {recounted}"
+
+
 def _times(record: Record, outcome: Outcome, counted: Recount, step_s: float, real_time: bool) -> Iterator[str]:
     slack_s = LATE_S + LATE * counted.end_s if real_time else 1.05 * step_s
     if abs(outcome.simulated_s - counted.end_s) > slack_s:
         yield f"simulated_s is {outcome.simulated_s}, but the motion ends at {counted.end_s:.3f} s"
     if record.end_reason == "all arrived":
-        first_s, surely_s = counted.all_arrived_s, counted.all_surely_arrived_s
-        latest_s = math.inf if math.isnan(surely_s) else surely_s + CHECK_S + slack_s
-        if math.isnan(first_s) or not first_s - slack_s <= outcome.simulated_s <= latest_s:
-            yield f"all arrived at {outcome.simulated_s} s, recounted {first_s:.3f} to {surely_s:.3f} s"
+        yield from arrival_problem(counted, outcome.simulated_s, slack_s)
     said_s = record.truth.get("arrival.last_s")
     if real_time or said_s is None:  # robots of a real-time trial are watched until they stand
         return

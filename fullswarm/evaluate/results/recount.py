@@ -67,8 +67,7 @@ class Recount:
     above_limits: int = 0
     commands_known: bool = True
     arrived: Range = field(default_factory=Range)
-    all_arrived_s: float = math.nan  # when first all may have been at their goals at once; NaN: never
-    all_surely_arrived_s: float = math.nan  # when first they were, whatever the rounding of the stored poses
+    all_there_s: list[tuple[float, float]] = field(default_factory=list)  # from when to when all were at their goals
     last_arrival_s: float = math.nan  # when the last of those that were there at the end came; NaN: none was
     closest_m: Floats = field(default_factory=lambda: np.zeros(0))  # (n (n - 1) / 2,)
     wall_m: Floats = field(default_factory=lambda: np.zeros((0, 0)))  # (n, k)
@@ -442,10 +441,14 @@ def _arrivals(motion: Motion, stored: Mapping[str, NDArray[Any]], found: Recount
     there = far <= 0.0
     found.arrived = Range(int((far[-1] <= -2.0 * GRAIN).sum()), int((far[-1] <= 2.0 * GRAIN).sum()))
     aimed = np.isfinite(stored["goals"]).all(axis=1)  # robots that take no part have no goal
-    for name, most in (("all_arrived_s", 2.0 * GRAIN), ("all_surely_arrived_s", -2.0 * GRAIN)):
-        everyone = np.flatnonzero(((far[1:] <= most) | ~aimed).all(axis=1) & aimed.any())
-        if len(everyone) and motion.count:
-            setattr(found, name, (int(everyone[0]) + 1) * motion.step_s)
+    everyone = ((there[1:] | ~aimed).all(axis=1) & aimed.any()).astype(np.int8)
+    if motion.count:
+        change = np.diff(everyone, prepend=0, append=0)
+        begin, end = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
+        found.all_there_s = [
+            ((int(first) + 1) * motion.step_s, int(last) * motion.step_s)
+            for first, last in zip(begin, end, strict=True)
+        ]
     for robot in np.flatnonzero(there[-1]).tolist():
         away = np.flatnonzero(~there[1:, robot])
         since = (int(away[-1]) + 2 if len(away) else 1) * motion.step_s
