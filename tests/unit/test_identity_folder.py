@@ -17,13 +17,13 @@ from fullswarm.identity.folder import (
     ISSUED,
     KEY,
     KEYS,
-    LONGEST_NAME,
     KeysFolder,
     certificate_name,
     credentials_for,
     grants_file,
     identity_folder,
 )
+from fullswarm.identity.private import LONGEST_NAME
 from fullswarm.keys import ROBOT_ID
 
 NOW_S = 1_800_000_000.0
