@@ -66,7 +66,8 @@ def test_an_episode_with_crashes_and_partitions_breaks_nothing() -> None:
     assert found.violations == ()
     assert found.restarts > 0
     assert found.commands > 4 * 50 * 40
-    assert found.asked["request"] > 5
+    assert found.asked["request"] > 2
+    assert sum(found.asked.values()) > 5
 
 
 REPEAT = """
