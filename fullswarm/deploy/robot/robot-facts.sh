@@ -19,7 +19,7 @@ take_health() { # sets health: the agent's report, or nothing. Its user may have
     health=''
     mkdir -p "$RUN" && chmod 700 "$RUN" && copy=$(mktemp "$RUN/health.XXXXXX") || return
     # Into a file: a pipe could be kept open for ever by a process of that user.
-    as_agent 3 dd if="$HEALTH" iflag=nofollow,nonblock bs="$MOST_HEALTH" count=1 status=none > "$copy" 2> /dev/null &&
+    as_agent 10 dd if="$HEALTH" iflag=nofollow,nonblock bs="$MOST_HEALTH" count=1 status=none > "$copy" 2> /dev/null &&
         health=$(head -c "$MOST_HEALTH" "$copy" | tr -cd '\n -~' | plain_json)
     rm -f "$copy"
     [ -n "$health" ]
