@@ -2,7 +2,7 @@
 
 Found are: an entry that was changed, removed, repeated or moved, and entries cut off at the end, by the newest entry
 that was noted elsewhere: in ``head.json``, in the core's database, or by a person. Not found is a log whose entries,
-hashes and notes were all replaced by somebody who may write all of them: only a note kept elsewhere shows that.
+hashes and notes were all replaced by a user who may write all of them: only a note kept elsewhere shows that.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def _read_own_words(line: bytes, n: int, found: Findings, removed: dict[int, str
     """Note what an entry says of others."""
     if b'"act":"gap"' not in line and b'"act":"retention"' not in line:
         return
-    entry = _json(line)  # the words may also stand in what somebody has sent
+    entry = _json(line)  # the words may also stand in a message
     what = entry.get("what")
     if entry.get("act") == "gap":
         found.notes.append(f"entry {n} states a gap: {json.dumps(what)}")

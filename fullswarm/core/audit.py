@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fullswarm.audit.log import AuditLog, Event, Head, bounded
-from fullswarm.bus.base import Delivery, M, SenderBus, Subscription
+from fullswarm.bus.base import Delivery, NamedBus, SenderBus
 from fullswarm.keys import Keys
 from fullswarm.messages import (
     STOP,
@@ -136,31 +136,17 @@ class Robot:
     fault: str
 
 
-class _CoreBus:
+class _CoreBus(NamedBus):
     """The bus as the parts of the core use it: what they publish is seen by the recorder."""
 
     def __init__(self, bus: SenderBus, seen: Callable[[Message], None]) -> None:
-        self._bus, self._seen = bus, seen
+        super().__init__(bus, "")
+        self._seen = seen
 
     def publish(self, key: str, message: Message, *, sender: str = "") -> None:
-        self._bus.publish(key, message, sender=sender)
+        """Send `message`, then have it seen."""
+        super().publish(key, message, sender=sender)
         self._seen(message)
-
-    def subscribe(
-        self, expression: str, kind: type[M], handler: Callable[[M], None], *, latest: bool = False
-    ) -> Subscription:
-        return self._bus.subscribe(expression, kind, handler, latest=latest)
-
-    def subscribe_with_sender(
-        self, expression: str, kind: type[M], handler: Callable[[Delivery[M]], None], *, latest: bool = False
-    ) -> Subscription:
-        return self._bus.subscribe_with_sender(expression, kind, handler, latest=latest)
-
-    def connected(self) -> bool:
-        return self._bus.connected()
-
-    def close(self) -> None:
-        self._bus.close()
 
 
 class AuditRecorder:

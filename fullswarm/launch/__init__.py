@@ -9,7 +9,7 @@ In: a fleet file. Out: running processes, or a whole swarm in one process.
 ``world.py``        the node of the simulated world
 ``lockstep.py``     all nodes in one process on a simulated clock
 ``supervisor.py``   starts the processes of a fleet file, watches them, restarts them, ends them
-``run_folder.py``   folders of a run, which nobody else may enter: made, removed after a crash; bounded logs
+``run_folder.py``   folders of a run, which no other user may enter: made, removed after a crash; bounded logs
 ``liveness.py``     how each process shows its supervisor that its loop runs
 ``up.py``           `fullswarm up`: the supervisor in a terminal
 ``stopping.py``     checks a fleet file before a start: can its robots stop in time?

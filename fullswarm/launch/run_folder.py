@@ -1,8 +1,8 @@
 """Makes folders for what lasts as long as a run (logs, sockets, ports) in a folder that only this user may enter.
 
-All of it is below ``fullswarm-UID`` in the system's folder for temporary files. Everybody may write there, so it is
-used only if it is a real folder, of this user, that nobody else can have written to. The folder ``XDG_RUNTIME_DIR`` is
-not used: it is removed when the user logs out, and a swarm started with ``nohup`` goes on.
+All of it is below ``fullswarm-UID`` in the system's folder for temporary files. Every user may write there, so it is
+used only if it is a real folder, of this user, that no other user can have written to. The folder ``XDG_RUNTIME_DIR``
+is not used: it is removed when the user logs out, and a swarm started with ``nohup`` goes on.
 """
 
 from __future__ import annotations

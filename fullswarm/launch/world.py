@@ -43,7 +43,7 @@ LEAST_SIGMA_M, LEAST_SIGMA_RAD = 0.002, 0.002
 
 
 def compile_kernels(config: SwarmConfig) -> None:
-    """Compile what a step calls, by steps of a world that nobody sees; then it is in the kernels' cache.
+    """Compile what a step calls, by steps of a separate world; then it is in the kernels' cache.
 
     After an install this takes many seconds, for which the loop of the world would stand and its robots report faults.
     """

@@ -323,7 +323,7 @@ class Judge:
             return ("", "", "") if fresh else ("motion", "", "it has accepted no request")
         ask = self._ask_of(running)
         if ask is None or robot.name not in ask.robots:
-            return "motion", running, f"nobody has requested {running} of it"
+            return "motion", running, f"no operator has requested {running} of it"
         if ask.at_s < robot.floor_s and not fresh:
             text = f"{running} was requested at {ask.at_s:.3f}, before {robot.floor_id} at {robot.floor_s:.3f}"
             return "stop", running, text

@@ -185,7 +185,7 @@ class Doorkeeper:
         self._file, self._wall_s = file, wall_s
 
     def admit(self, given: str) -> Admitted | None:
-        """Return whose token or pass this is; None: nobody's, or it has ended."""
+        """Return whose token or pass this is; None: of no operator, or it has ended."""
         match = _PASS.match(given)
         if match is not None:
             return self._admit_pass(int(match[1]), match[2])
@@ -235,7 +235,7 @@ class Doorkeeper:
         try:
             return () if self._file is None else self._file.tokens()
         except ConfigError:
-            return ()  # damaged, or open to others meanwhile: it lets nobody in
+            return ()  # damaged, or open to others meanwhile: it is valid for no operator
 
 
 def _admitted(token: Token) -> Admitted:
