@@ -32,6 +32,7 @@ Further files:
 ``lab/``           A swarm in a Python program or a notebook: ``from fullswarm import Lab``
 ``launch/``        The composition root: builds nodes and gives them a bus and a clock
 ``localization/``  Publishes external pose measurements, such as motion capture, as pose fixes
+``maps/``          Occupancy maps: cells as boxes, tiles on the bus, files of ROS's map_server
 ``messages.py``    Every message on the wire: typed, versioned, immutable
 ``output.py``      stdout is data, stderr is progress
 ``reasons.py``     Why robots do not move and requests are refused: codes for programs, texts for people

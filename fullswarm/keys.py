@@ -10,9 +10,15 @@ key                                                     message                w
 ``<swarm>/robot/<id>/behaviour/<name>/control_requests``  ControlRequest       request handler → agent
 ``<swarm>/robot/<id>/ack``                              ControlAck             agent → request handler
 ``<swarm>/robot/<id>/command``                          Command                request handler → agent
+``<swarm>/robot/<id>/charge``                           ChargeOrder            core → agent
+``<swarm>/charging/status``                             ChargingStatus         core → all
 ``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
+``<swarm>/robot/<id>/range_fix``                        RangeFix               radio anchors → agent
+``<swarm>/fix_source/<name>``                           FixSourceReport        sources of fixes → agents, operators
 ``<swarm>/object/<name>``                               ObjectFix              motion capture → agents
 ``<swarm>/world/hold``                                  WorldHold              study → world
+``<swarm>/world/poses``                                 TruePoses              world → simulated camera
+``<swarm>/camera/<name>``                               CameraPicture          camera → console
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/broadcast/<cell>/<host>``                     BehaviourBroadcast     agent → neighbours
 ``<swarm>/profile/<cell>/<host>``                       RobotProfiles          agent → neighbours, core
@@ -21,6 +27,7 @@ key                                                     message                w
 ``<swarm>/relay/<host>``                                RelayedStates          core → agent
 ``<swarm>/searched/<host>``                             SearchedDiscs          agent → agents
 ``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
+``<swarm>/grid/<host>``                                 GridTiles              agent → agents, operators
 ``<swarm>/health/<host>``                               HealthReport           agent → all
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
 ``<swarm>/clock/<host>/probe``                          ClockProbe             agent → core
@@ -110,9 +117,26 @@ class Keys:
         """Explicit twists for a robot."""
         return f"{self.swarm}/robot/{robot}/command"
 
+    def charge(self, robot: str = ANY) -> str:
+        """Interrupts a robot's task so that it charges."""
+        return f"{self.swarm}/robot/{robot}/charge"
+
+    @property
+    def charging_status(self) -> str:
+        """The state of the docks."""
+        return f"{self.swarm}/charging/status"
+
     def pose_fix(self, robot: str = ANY) -> str:
         """Where something outside sees a robot."""
         return f"{self.swarm}/robot/{robot}/pose_fix"
+
+    def range_fix(self, robot: str = ANY) -> str:
+        """How far a robot is from an anchor."""
+        return f"{self.swarm}/robot/{robot}/range_fix"
+
+    def fix_source(self, name: str = ANY) -> str:
+        """What a source of fixes sees and what it does not."""
+        return f"{self.swarm}/fix_source/{name}"
 
     def object_fix(self, name: str = ANY) -> str:
         """Where something outside sees an object that is no robot."""
@@ -122,6 +146,15 @@ class Keys:
     def world_hold(self) -> str:
         """Holds the simulated world still."""
         return f"{self.swarm}/world/hold"
+
+    @property
+    def true_poses(self) -> str:
+        """Where the bodies of the simulated world are."""
+        return f"{self.swarm}/world/poses"
+
+    def camera(self, name: str = ANY) -> str:
+        """Pictures of a camera."""
+        return f"{self.swarm}/camera/{name}"
 
     def state(self, cell: str = ANY, host: str = ANY) -> str:
         """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""
@@ -151,6 +184,10 @@ class Keys:
     def searched(self, host: str = ANY) -> str:
         """Where silent robots can still be, as the robots of a host have seen."""
         return f"{self.swarm}/searched/{host}"
+
+    def grid(self, host: str = ANY) -> str:
+        """Tiles of the occupancy grid that the robots of a host have measured."""
+        return f"{self.swarm}/grid/{host}"
 
     def obstacles(self, host: str = ANY) -> str:
         """Static obstacles that the robots of a host have seen."""

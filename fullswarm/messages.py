@@ -69,6 +69,8 @@ LARGEST = 1e15
 Team = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 """Number of a team: robots whose laws count each other as neighbours, of one request or group; 0: of no team."""
 Teams = Annotated[tuple[Team, ...], Meta(max_length=MOST)]
+AWAY = 0xFFFFFFFF
+"""The team of robots whose task is interrupted: no control law counts them; the safety filter does."""
 
 ShortText = Annotated[str, Meta(max_length=64)]
 Capabilities = Annotated[tuple[ShortText, ...], Meta(max_length=64)]
@@ -375,6 +377,32 @@ class ControlAck(Message, frozen=True, kw_only=True, tag="ControlAck/2"):
     sequence: Ordinal = 0
 
 
+ChargePhase = Literal["waiting", "going", "docking", "docked", "leaving", "returning"]
+
+
+class ChargeOrder(Message, frozen=True, kw_only=True):
+    """The core interrupts a robot's task so that it charges, or lets it return; repeated until the robot reports it.
+
+    ``wait``: stand where it is; ``go``: drive to the dock and into it; ``leave``: out of it and back to the task;
+    ``cancel``: back to the task, from wherever it is. One `id` is one interruption, which ends once.
+    """
+
+    id: ShortText
+    robot: str
+    op: Literal["wait", "go", "leave", "cancel"]
+    dock: ShortText = ""
+    x_m: Metres = 0.0  # of a robot that is docked there
+    y_m: Metres = 0.0
+    heading_rad: Radians = 0.0
+    approach_m: HalfSize = 0.0  # so far before it the robot lines up
+    means: Literal["pose", "own"] = "pose"
+    speed_m_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.1  # on the straight way in and out
+    idle: bool = False  # also without a task
+    halts: Names = ()  # stops of this robot that the core knows: one that has a newer one ignores the order
+    core: str = ""
+    stamp_s: Stamp = 0.0
+
+
 class CentralisedRequest(Message, frozen=True, kw_only=True, tag="CentralisedRequest/2"):
     """A request remapped to a centralised behaviour's node (paper II.C.1)."""
 
@@ -422,10 +450,56 @@ class WorldHold(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
-class PoseFix(Message, frozen=True, kw_only=True):
+class DockState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One slot of a dock as the core knows it; part of ChargingStatus."""
+
+    dock: ShortText
+    x_m: Metres
+    y_m: Metres
+    heading_rad: Radians
+    approach_m: HalfSize
+    robot: str = ""  # that has it, or stands in it
+    phase: ChargePhase | Literal["free", "blocked", "failed"] = "free"
+    reason: str = ""  # why it is blocked or has failed
+    code: str = ""  # of the reason, see `fullswarm.reasons`
+
+
+class ChargingStatus(Message, frozen=True, kw_only=True):
+    """The docks, and the robots that wait for one: on change and every 2 s, from a core whose fleet has docks."""
+
+    docks: Annotated[tuple[DockState, ...], Meta(max_length=MOST)]
+    waiting: Names = ()  # robots, in the order in which they get a dock
+    core: str = ""  # which core process
+    sequence: Ordinal = 0
+    stamp_s: Stamp = 0.0
+
+
+class TruePoses(Message, frozen=True, kw_only=True):
+    """Where all bodies of the simulated world truly are: for a simulated camera, never for a robot."""
+
+    robots: Names
+    x_m: Places
+    y_m: Places
+    heading_rad: Angles
+    speed_m_s: Speeds
+    turn_rad_s: Turns
+    stamp_s: Stamp
+
+
+class CameraPicture(Message, frozen=True, kw_only=True):
+    """What a camera sees, small, with what it has found drawn in; twice a second, for people."""
+
+    camera: ShortText
+    jpeg: Annotated[bytes, Meta(max_length=500_000)]
+    problem: Text = ""
+    stamp_s: Stamp = 0.0
+
+
+class PoseFix(Message, frozen=True, kw_only=True, tag="PoseFix/2"):
     """Where a supervisory process sees a robot: motion capture, a camera, the simulator. World frame.
 
-    ``stamp_s`` is the source's own clock: it orders the fixes of one source and shows how late they are.
+    ``stamp_s`` is the source's own clock: it orders the fixes of one source and shows how late they are. From π on
+    ``heading_sigma_rad`` says that the heading was not seen.
     """
 
     robot: str
@@ -437,6 +511,37 @@ class PoseFix(Message, frozen=True, kw_only=True):
     source: str  # unique per process of the source
     stamp_s: Stamp
     contacts: Count = 0  # bodies and obstacles that the source sees the robot touch now
+    covariance_m2: tuple[Finite, Finite, Finite] | None = None  # xx, xy, yy; None: the sigma on both axes
+    quality: Annotated[float, Meta(ge=0.0, le=1.0)] = 1.0  # of the detection, as the source judges it
+    sensor: ShortText = ""  # what the source is, for people: "camera ceiling"
+    marker: ShortText = ""  # by what the robot was recognised: "tag 3"
+
+
+class RangeFix(Message, frozen=True, kw_only=True):
+    """How far a robot is from an anchor of known place, measured by radio. Stamped as a :class:`PoseFix`."""
+
+    robot: str
+    anchor: ShortText
+    x_m: Metres  # of the anchor, world frame
+    y_m: Metres
+    up_m: Metres  # of the anchor above the robot's own radio
+    distance_m: Annotated[float, Meta(ge=0.0, le=1e5)]
+    sigma_m: Sigma
+    source: str  # unique per process of the source
+    stamp_s: Stamp
+    sensor: ShortText = ""
+
+
+class FixSourceReport(Message, frozen=True, kw_only=True):
+    """What a source of pose fixes sees and what it does not, every second."""
+
+    source: str  # as in its fixes, without what follows a slash there
+    sensor: ShortText
+    problem: Text = ""  # why it gives nothing, or less than it should
+    robots: Names = ()
+    markers: Annotated[tuple[ShortText, ...], Meta(max_length=MOST)] = ()  # by what each is recognised
+    unseen_s: Annotated[tuple[KnownSigma, ...], Meta(max_length=MOST)] = ()  # -1: was never seen
+    stamp_s: Stamp = 0.0
 
 
 class ObjectFix(Message, frozen=True, kw_only=True):
@@ -754,6 +859,23 @@ class SeenObstacles(Message, frozen=True, kw_only=True):
     stamp_s: Stamp
 
 
+class GridTiles(Message, frozen=True, kw_only=True):
+    """Square tiles of the occupancy grid of one host: what has changed, and in turn all that it knows.
+
+    All hosts of a fleet file lay the same grid over the arena. :mod:`fullswarm.maps.tiles` packs and unpacks the cells.
+    """
+
+    host: str
+    x_min_m: Metres  # lower left corner of the grid
+    y_min_m: Metres
+    cell_m: Annotated[float, Meta(gt=0.0, le=1000.0)]
+    rows: Count  # of cells
+    columns: Count
+    tiles: Annotated[tuple[Count, ...], Meta(max_length=64)]  # their numbers, row by row
+    cells: Annotated[bytes, Meta(max_length=20_000)]  # two bits each: 0 unknown, 1 free, 2 occupied; deflated
+    stamp_s: Stamp
+
+
 class Halt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The newest stop or e-stop that a robot has carried out, while it has started nothing since; part of RobotHealth.
 
@@ -766,6 +888,27 @@ class Halt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     stamp_s: Stamp = 0.0  # when it was carried out, on the clock of the report's own `stamp_s`
     clock: str = ""  # of the operator's own stamp, as in the order
     ordered_s: Stamp = 0.0  # that stamp
+
+
+class RobotCharge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How far a robot is whose task is interrupted so that it charges; part of RobotHealth."""
+
+    id: ShortText  # of the ChargeOrder
+    dock: ShortText
+    phase: ChargePhase
+    since_s: Duration = 0.0  # in this phase
+
+
+class PoseSource(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """One source of pose fixes as a robot uses it; part of a RobotHealth."""
+
+    sensor: ShortText
+    marker: ShortText = ""
+    age_s: Duration = 0.0  # since its last fix came
+    used: bool = False
+    residual_m: KnownSigma = -1.0  # mean distance of its last fixes from the pose before them; -1: unknown
+    residual_rad: KnownSigma = -1.0
+    refused: Text = ""  # why its last fix was not used
 
 
 class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -789,12 +932,15 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     fault: str = ""
     fault_code: str = ""  # of `fault`, if its driver has one for it
     battery: Annotated[float, Meta(ge=-1.0, le=100.0)] = -1.0  # 0 to 1; -1: unknown
+    charging: bool | None = None  # current flows into its battery; None: it does not report that
+    charge: RobotCharge | None = None  # None: its task is not interrupted
     contacts: Count = 0  # touching now
     collisions: Count = 0  # since the agent started
     pose_source: str = ""  # driver, odometry, fixes
     position_sigma_m: KnownSigma = -1.0  # standard deviation along the worse axis; -1: unknown
     heading_sigma_rad: KnownSigma = -1.0
-    pose_note: str = ""  # fixes lost or refused, a pose that jumped
+    pose_note: str = ""  # fixes lost or refused, sources that contradict each other, a pose that jumped
+    pose_sources: Annotated[tuple[PoseSource, ...], Meta(max_length=8)] = ()
     deviation_m_s: Finite = 0.0  # present difference between allowed and desired velocity
     deviation_m: Finite = 0.0  # the same added up over time since the agent started
     filter_note: str = ""  # why the safety filter brakes: not merely limits
@@ -804,7 +950,7 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     halt: Halt | None = None  # None: it has started something since the newest stop
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/7"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/9"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str
@@ -927,7 +1073,9 @@ class ParamChanged(Message, frozen=True, kw_only=True):
 DRIVING: tuple[type[Message], ...] = (
     ControlRequest, ControlAck, CentralisedRequest, CentralisedCommands, Command, StopRequest, EStop, EStopReceipt,
     PoseFix, ObjectFix, Heartbeat, ClockProbe, ClockReply, RobotStates, Reception, RelayedStates, BehaviourBroadcast,
-    RobotProfiles, SearchedDiscs, SeenObstacles, HealthReport,
+    RobotProfiles, SearchedDiscs, SeenObstacles, HealthReport, ChargeOrder,
+    PoseFix, RangeFix, ObjectFix, Heartbeat, ClockProbe, ClockReply, RobotStates, Reception, RelayedStates,
+    BehaviourBroadcast, RobotProfiles, SearchedDiscs, SeenObstacles, GridTiles, HealthReport,
 )  # fmt: skip
 """What must be of one version in all processes that drive robots; the rest is shown to people."""
 
@@ -951,6 +1099,10 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
         and (not m.accel_m_s2 or len(m.accel_m_s2) == len(m.robots))
     ),
     Reception: lambda m: len(m.robots) == len(m.x_m) == len(m.y_m),
+    TruePoses: lambda m: (
+        len(m.robots) == len(m.x_m) == len(m.y_m) == len(m.heading_rad) == len(m.speed_m_s) == len(m.turn_rad_s)
+    ),
+    FixSourceReport: lambda m: len(m.robots) == len(m.markers) == len(m.unseen_s),
     Interventions: lambda m: len(m.robots) == len(m.x_m_s) == len(m.y_m_s) == len(m.reasons),
 }  # fmt: skip
 """Whether a message's columns fit together, written out because states come a thousand times per second."""

@@ -49,6 +49,13 @@ class Code(enum.StrEnum):
     ESTOP_RELEASED = "estop_released"  # by
     DRIVER_FAILED = "driver_failed"  # fault
     DRIVER_STOPPED = "driver_stopped"
+    CHARGE_WAITS = "charge_waits"
+    CHARGE_GOING = "charge_going"  # dock
+    CHARGE_DOCKING = "charge_docking"  # dock
+    CHARGING = "charging"  # dock
+    DOCKED = "docked"  # dock: no current flows
+    CHARGE_LEAVING = "charge_leaving"  # dock
+    CHARGE_RETURNS = "charge_returns"  # dock
     ARRIVED = "arrived"  # behaviour, text: what its control law says of it
     FAILED = "failed"  # behaviour, text
 
@@ -62,6 +69,12 @@ class Code(enum.StrEnum):
     PORT_HELD = "port_held"  # another process uses the port
 
     ACTUATOR = "actuator"  # name, error: it does not take what a control law asks for
+
+    # why a dock is not used
+    DOCK_NO_CURRENT = "dock_no_current"  # robot
+    DOCK_NOT_REACHED = "dock_not_reached"  # robot
+    DOCK_TAKEN = "dock_taken"  # robot: that stands in it and does not charge
+    DOCK_LOST = "dock_lost"  # robot: that fell silent there
 
     # why a request was refused or ended
     ESTOP_LATCHED = "estop_latched"
@@ -112,6 +125,17 @@ TEXTS: dict[Code, str] = {
     "continues when it knows a wider one",
     Code.GOAL_CLOSED: "its goal {goal} is {available_m} m from an obstacle, and it needs {needed_m} m",
     Code.ACTUATOR: "the actuator '{name}' is not set: {error}",
+    Code.CHARGE_WAITS: "waits for a free dock: its battery is too low to go on",
+    Code.CHARGE_GOING: "on its way to {dock} to charge",
+    Code.CHARGE_DOCKING: "docking at {dock}",
+    Code.CHARGING: "charging at {dock}",
+    Code.DOCKED: "at {dock}, no current flows",
+    Code.CHARGE_LEAVING: "leaving {dock}",
+    Code.CHARGE_RETURNS: "returning from {dock}",
+    Code.DOCK_NO_CURRENT: "{robot} stood in it and was not charged: check its contacts and its power",
+    Code.DOCK_NOT_REACHED: "{robot} did not get into it: see what stands there, and the dock's pose in the fleet file",
+    Code.DOCK_TAKEN: "{robot} stands in it and does not charge: drive it out by hand, or give it a task",
+    Code.DOCK_LOST: "{robot} fell silent there: restart or remove it",
     Code.STOPPED: "it was stopped by {by}",
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",
@@ -132,7 +156,14 @@ TEXTS: dict[Code, str] = {
 }
 """The texts of this package; all others come with their codes from outside."""
 
-DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, Code.EXPIRED, Code.ARRIVED})
+CHARGES = frozenset(
+    {
+        Code.CHARGE_WAITS, Code.CHARGE_GOING, Code.CHARGE_DOCKING, Code.CHARGING, Code.DOCKED, Code.CHARGE_LEAVING,
+        Code.CHARGE_RETURNS,
+    }
+)  # fmt: skip
+"""What a robot whose task is interrupted so that it charges is doing."""
+DELIBERATE = CHARGES | {Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, Code.EXPIRED, Code.ARRIVED}
 """A robot without a behaviour that stands for one of these was stopped on request, or is done: no cause for alarm."""
 RESULTS = frozenset({Code.ARRIVED, Code.FAILED})
 """With these a behaviour ends itself on a robot."""

@@ -45,6 +45,7 @@ DRIVERS = MappingProxyType(
         "mavlink+udpout": "fullswarm.drivers.mavlink:MAKE",
         "mavlink+tcp": "fullswarm.drivers.mavlink:MAKE",
         "mavlink+serial": "fullswarm.drivers.mavlink:MAKE",
+        "ros": "fullswarm.drivers.ros:MAKE",
     }
 )
 """Each scheme's record (:class:`fullswarm.drivers.make.Make`). `robots find` tries them in this order."""
@@ -80,6 +81,7 @@ LAWS = MappingProxyType(
             "pattern",
             "patrol",
             "exploration",
+            "docking",
         )
     }
 )

@@ -13,6 +13,7 @@ board and the whole swarm in a lockstep trial, so both run the same control laws
 ``behaviours/``       one control law per file
 ``navigation/``       ways on a map, exactly, and the order in which robots drive through narrow passages
 ``safety/``           the barrier filter, and the resolution of its deadlocks
+``mapping/``          what range sensors show: near obstacles, moving bodies, a shared occupancy grid
 ``messaging/``        what control laws broadcast to neighbours, and their shared table
 ``motion/``           from desired velocities to the set-points of the drivers
 ``pose/``             the estimated pose of each robot

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import structlog
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from fullswarm import __version__
 from fullswarm.agent.core_clock import CoreClock
+from fullswarm.agent.mapping.sense import RangeSense
+from fullswarm.agent.mapping.sharing import GridSharing
 from fullswarm.agent.messaging.exchange import Exchange
 from fullswarm.agent.motion.actuation import ActuatorCommands
 from fullswarm.agent.motion.desired import DesiredMotion
@@ -46,11 +49,16 @@ from fullswarm.bus.base import Bus, CountingBus
 from fullswarm.clock import wall_time_s
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
+from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
-from fullswarm.messages import HealthReport, ObjectFix, RobotStates
+from fullswarm.messages import HealthReport, ObjectFix, PoseFix, RobotStates
 from fullswarm.perf.calculators import Calculators
+from fullswarm.reasons import Reason
 from fullswarm.runtime import LoopStats, Scheduler, Timer
+
+if TYPE_CHECKING:
+    from fullswarm.agent.pose.map_poses import MapPoses
 
 log = structlog.get_logger()
 
@@ -130,8 +138,18 @@ class AgentNode:
             bus, keys, scheduler, identity.host, self.obstacle_map, (*config.robots, *fleet.ids)
         )
         range_m = min(each.bodies_range_m for each in fleet.descriptions)
+        self.ranges = RangeSense(
+            fleet.descriptions, self.neighbours, config.bounds_m, settings.grid_cell_m, state.radius
+        )  # fmt: skip
+        self._grid_sharing = None
+        if self.ranges.any:
+            self._grid_sharing = GridSharing(
+                bus, keys, scheduler, identity.host, self.ranges, self.obstacle_map, config.bounds_m,
+                (*config.robots, *fleet.ids),
+            )  # fmt: skip
         self.objects = ObjectTracker(
-            self.neighbours, range_m, settings.object_speed_m_s, settings.object_accel_m_s2
+            self.neighbours, self.ranges.range_m if self.ranges.any else range_m, settings.object_speed_m_s,
+            settings.object_accel_m_s2,
         )  # fmt: skip
         self.silent_search = SilentSearch(bus, keys, identity.host, self.neighbours, range_m, state.radius)
         self._object_subscription = bus.subscribe(keys.object_fix(), ObjectFix, self._on_object, latest=True)
@@ -146,7 +164,7 @@ class AgentNode:
         )
         self.settling = Settling(wanted, np.array(config.bounds_m), settings.pose_confidence_sigma)
         self.desired = DesiredMotion(
-            settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
+            settings, config.bounds_m, state, self.tasks,
             self.neighbours, self.obstacle_map, self.settling, self.deadlocks, self.filter, self.controller, evasion,
         )  # fmt: skip
         self.actuators = ActuatorCommands(fleet)
@@ -156,8 +174,9 @@ class AgentNode:
             bus, keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.pose_conflicts, self.wake,
             lambda row: self.profiles.present(row),
         )  # fmt: skip
+        self.neighbours.own_away = self.inbox.charging.flags
         self._drivers = DriverWatch(
-            fleet, state, self.controller.drive_on, end_task=self.inbox.void, conflict_of=self.pose_conflicts.reason
+            fleet, state, self.controller.drive_on, end_task=self._end_task, conflict_of=self.pose_conflicts.reason
         )
         self._estimator = estimator_for(config, fleet, start)
         state.sigma = self._estimator.sigma
@@ -165,6 +184,7 @@ class AgentNode:
             bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
             vague_m=vaguest_fix_m(config, fleet.descriptions),
         )  # fmt: skip
+        self._map_poses = _map_poses(config, fleet, self.obstacle_map.given, state.radius, start, self.fixes.receive)
         self.desired.context.contacts = self.fixes.touches
         self.exchange = Exchange(
             bus, keys, scheduler, identity.host, fleet.ids, config.state_cell_m, state, self.tasks, self.neighbours,
@@ -197,7 +217,7 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
-            results=self.inbox.results, halts=self.inbox.halts,
+            results=self.inbox.results, halts=self.inbox.halts, charging=self.inbox.charging,
             waiting=Waiting(state, self.tasks, self.filter, self.neighbours), message_note=self.exchange.note,
             settled_by=self.settling.rule,
             limits=np.column_stack([self.controller.speed_limit, self.controller.turn_limit, accel, extra]),
@@ -205,6 +225,9 @@ class AgentNode:
         self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
         self._link = Link(core_alive=False, hub_alive=False, driver_ready=state.driver_ready)
         self._sensed: Sensed | None = None
+        self._sees_obstacles = any(each.senses_obstacles for each in fleet.descriptions)
+        self._static: Array | None = None
+        self._measured: Array | None = None
         self._doubt = _doubt(self.reflexes, self.pose_conflicts)
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
@@ -269,15 +292,25 @@ class AgentNode:
         now_s = self._scheduler.now_s()
         state = self._state
         state.reading = reading = self._fleet.read()
+        if self._map_poses is not None:
+            self._map_poses.update(reading)
         state.pose = self._estimate(reading, now_s - self._last_tick_s)
         state.twist = reading.twist
+        self._sense_static(now_s, reading)
         self.standstill.update(reading)
         self.reflexes.update(reading, state.pose)
         if self.fixes.any_unsettled:
             self.reflexes.pose_uncertain |= self.fixes.unsettled
-        if reading.bodies is not None or self.objects.any:
+        if self._map_poses is not None:
+            self.reflexes.pose_uncertain |= self._map_poses.lost
+        if self.ranges.any:
+            self.objects.update(now_s, state.pose, self.ranges.bodies, self.ranges.stamp_s)
+        elif reading.bodies is not None or self.objects.any:
             self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
+        self.inbox.charging.update()
+        if self.inbox.charging.changed:
+            self.inbox.charging.changed, self._dirty = False, True
         self._act(now_s, reading, self.tasks.groups())
         self.exchange.send()
         period_s = 1.0 / self._config.control_rate_hz
@@ -292,6 +325,18 @@ class AgentNode:
         self._last_tick_s = now_s
         if self._dirty:
             self.publish_health()
+
+    def _sense_static(self, now_s: float, reading: FleetReading) -> None:
+        """Set the static obstacles that the filter keeps off: those sensed, or else the map, and those measured."""
+        state = self._state
+        static = reading.obstacles if self._sees_obstacles else self.obstacle_map.given
+        if not self.ranges.any:
+            state.obstacles = static
+            return
+        self.ranges.update(now_s, state.pose, state.sigma, state.twist, reading.ranges)
+        if static is not self._static or self.ranges.obstacles is not self._measured:
+            self._static, self._measured = static, self.ranges.obstacles
+            state.obstacles = np.vstack([static, self.ranges.obstacles])
 
     def _measurement_failed(self, error: Exception) -> None:
         """Count and log a failed measurement; whatever it raised must not end the process that drives the robot."""
@@ -348,6 +393,11 @@ class AgentNode:
         self._remembered.publish()
         self._actuated.publish()
 
+    def _end_task(self, row: int, why: Reason) -> None:
+        """End a robot's task because of its driver, unless that has found its dock by itself: it lets go there."""
+        if not (self.inbox.charging.away(row) and self._fleet.docked(row)):
+            self.inbox.void(row, why)
+
     def _end_tasks(self) -> None:
         """End the behaviours that have ended themselves, before anything is commanded: their robots stand."""
         for row, ending in self.desired.endings.items():
@@ -389,8 +439,9 @@ class AgentNode:
             self.metrics.sample(now_s)
         except Exception as error:
             self._measurement_failed(error)
-        known = reading.obstacles if self.desired.sees_obstacles else self.obstacle_map.given
-        self.objects.obstacles = known
+        known = self.objects.obstacles = self._state.obstacles
+        if self._grid_sharing is not None:
+            self._grid_sharing.update(now_s)
         if reading.bodies is not None and self.neighbours.silent:
             strange = self.objects.strange(reading.bodies, now_s)
             self.silent_search.look(now_s, self._state.pose[:, :2], reading.bodies, strange, known)
@@ -471,6 +522,8 @@ class AgentNode:
         self.core_clock.close()
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
+        if self._grid_sharing is not None:
+            self._grid_sharing.close()
         self.reception.close()
         self.exchange.close()
         self.profiles.close()
@@ -479,6 +532,26 @@ class AgentNode:
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()
+
+
+def _map_poses(
+    config: SwarmConfig, fleet: Fleet, given: Array, radius_m: Array, start: Array, receive: Callable[[PoseFix], None]
+) -> MapPoses | None:
+    """Return what locates the robots on the map, if the fleet file asks for it."""
+    if not config.agent.locate_on_map:
+        return None
+    if not any(each.ranges_max_m > 0.0 for each in fleet.descriptions):
+        raise ConfigError(
+            "no robot here has a range sensor", where="agent.locate_on_map",
+            hint="use a driver whose robots have one, or simulated ones: [world] ranges = {}",
+        )  # fmt: skip
+    if not len(given) and not (config.world is not None and config.world.walls):
+        raise ConfigError(
+            "there is no map", where="agent.locate_on_map", hint='name one: [world] map = "lab.yaml", or give boxes'
+        )
+    from fullswarm.agent.pose.map_poses import MapPoses  # few robots need it
+
+    return MapPoses(config, fleet.ids, given, radius_m, start, receive)
 
 
 def _thresholds(settings: AgentConfig) -> Thresholds:

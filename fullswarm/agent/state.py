@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fullswarm.drivers.base import FleetReading
+from fullswarm.drivers.base import NO_OBSTACLES, FleetReading
 from fullswarm.kernels import Array, Flags, Index
 
 
@@ -36,6 +36,8 @@ class AgentState:
     battery_low : (n,) too low to drive; by ``Reflexes``
     at_standstill, standstill_since_s : (n,) see ``Standstill``, which writes them
     driver_ready : (n,) drivers READY or ACTIVE in the last tick; by ``DriverWatch``
+    obstacles : (k, 6) static ones that the robots sense now, or the map in their place; rows as in
+        ``Reading.obstacles``; the same array until it changes; by the node
     aim : (n, 2) m, where each control law says that it is driving to next, NaN where it says nothing; by
         ``DesiredMotion``
     """
@@ -48,6 +50,7 @@ class AgentState:
     at_standstill: Flags
     standstill_since_s: Array
     reading: FleetReading | None = None
+    obstacles: Array = field(default_factory=lambda: NO_OBSTACLES)
     sigma: Array = field(init=False)
     twist: Array = field(init=False)
     setpoints: Array = field(init=False)

@@ -74,7 +74,8 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
 def _needed_extras(config: SwarmConfig | None) -> frozenset[str]:
     if config is None:
         return frozenset()
-    return frozenset({make.extra for each in config.robot for make in _makes_of(each)} - {""})
+    makes = {make.extra for each in config.robot for make in _makes_of(each)} - {""}
+    return frozenset(makes | {"camera"} if config.camera else makes)
 
 
 def _makes_of(robot: RobotConfig) -> Iterator[Make]:

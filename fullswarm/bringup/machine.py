@@ -26,6 +26,7 @@ EXTRAS = {  # extra: modules it must bring
     "sim": ("numba", "pybullet"),
     "mavlink": ("pymavlink",),
     "can": ("can", "msgpack"),
+    "camera": ("cv2",),
     "joystick": ("sdl2",),
 }
 LEAST_DISK, LITTLE_DISK = 100e6, 1e9

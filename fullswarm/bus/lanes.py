@@ -32,7 +32,8 @@ CHANGES = Service(Lane.READS, 2000.0)  # of a database: one per robot of a reque
 _TOPICS = {
     "stop": STOPS, "estop": STOPS, "behaviour": ORDERS, "robot": ORDERS, "heartbeat": ORDERS, "lease": ORDERS,
     "mission": ORDERS, "params": READS, "measurement": READS, "summary": READS, "memory": READS, "actuators": READS,
-    "reload": READS, "intervention": READS, "processes": READS, "identity": READS,
+    "reload": READS, "camera": READS, "intervention": READS, "processes": READS, "identity": READS,
+    "charging": READS, "grid": READS,
 }  # fmt: skip
 """By the first part of a key after the swarm; all others carry states."""
 _SPECIAL = {

@@ -15,6 +15,8 @@ file               commands
 ``audit.py``       `audit show|verify`
 ``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
+``fixes.py``       `fixes`, `fixes record|play`
+``track.py``       `track init|sheets|calibrate|run`, `track --video`
 ``experiment.py``  `experiment run|trial|watch|replay`
 ``rehearse.py``    `rehearse`
 ``results.py``     `results list|show|export|map|compare|report|index`

@@ -13,6 +13,7 @@ from fullswarm.cli import bundle, completion, deploy, estop, flash, request, rob
 from fullswarm.cli.audit import audit_app
 from fullswarm.cli.console import console_app
 from fullswarm.cli.experiment import experiment_app
+from fullswarm.cli.fixes import fixes_app
 from fullswarm.cli.joystick import joystick_app
 from fullswarm.cli.keys import keys_app
 from fullswarm.cli.leases import leases_app
@@ -24,6 +25,7 @@ from fullswarm.cli.results import results_app
 from fullswarm.cli.scenario import scenario_app
 from fullswarm.cli.signing import signing_app
 from fullswarm.cli.study import study_app
+from fullswarm.cli.track import track_app
 from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -39,7 +41,7 @@ app = typer.Typer(
 START, EVALUATE, DEPLOY, HARDWARE, RUN = "Start", "Evaluate", "Deploy", "Robots and ports", "Single processes"
 for command in (
     request.request, request.stop, estop.estop, request.drive, request.mock, status.status, status.watch,
-    status.behaviours,
+    status.behaviours, status.docks,
 ):  # fmt: skip
     app.command()(command)
 for group, name in (
@@ -63,6 +65,7 @@ for command in (
 app.add_typer(keys_app, name="keys", rich_help_panel=DEPLOY)
 app.add_typer(signing_app, name="signing", rich_help_panel=DEPLOY)
 app.add_typer(robots.robots_app, name="robots", rich_help_panel=HARDWARE)
+app.add_typer(track_app, name="track", rich_help_panel=HARDWARE)
 for command in (robots.doctor, robots.emulate):
     app.command(rich_help_panel=HARDWARE)(command)
 
@@ -258,8 +261,21 @@ def agent(
 ) -> int:
     """Run the agent of one robot: on its companion computer, or here for a simulated one."""
     from fullswarm.launch import processes
+    from fullswarm.launch.nodes import Node
 
-    return processes.agent(_load(fleet, overrides), robot, with_parent)
+    config = _load(fleet, overrides)
+    if not any(each.id == robot and each.fixes for each in config.robot):
+        return processes.agent(config, robot, with_parent)
+    from fullswarm.bus.base import Bus
+    from fullswarm.keys import Keys
+    from fullswarm.localization.fixes import on_board_settings, source_node
+    from fullswarm.runtime import Runtime
+
+    def sensor(bus: Bus, runtime: Runtime) -> list[Node]:
+        settings = on_board_settings(config, robot)
+        return [] if settings is None else [source_node(bus, runtime, Keys(config.swarm), settings)]
+
+    return processes.agent(config, robot, with_parent, sensor)
 
 
 @app.command(rich_help_panel=RUN)
@@ -276,45 +292,7 @@ def sim(
     return processes.world(_load(fleet, overrides), insecure_network, with_parent)
 
 
-@app.command(rich_help_panel=RUN)
-@shell_command(logs=True)
-def fixes(
-    target: Target,
-    listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="UDP port for the datagrams.")] = "127.0.0.1:9870",
-    names: Annotated[
-        list[str] | None, typer.Option("--map", metavar="NAME=ROBOT", help="Map a name of the sender to a robot.")
-    ] = None,
-    objects: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--object", metavar="NAME=RADIUS_M", help="Report a name as an object to keep off: a person, a cart."
-        ),
-    ] = None,
-    unit: Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of x, y and z.")] = "m",
-    y_up: Annotated[bool, typer.Option("--y-up", help="Take x and -z as the floor's axes, as in Motive.")] = False,
-    sigma_m: Annotated[
-        float, typer.Option(min=1e-4, max=100, help="Standard deviation of positions that come without one.")
-    ] = 0.005,
-    sigma_rad: Annotated[
-        float, typer.Option(min=1e-4, max=3, help="Standard deviation of headings that come without one.")
-    ] = 0.02,
-    insecure_network: Annotated[
-        bool, typer.Option("--insecure-network", help="Listen beyond this machine: everyone there can send fixes.")
-    ] = False,
-    with_parent: WithParent = False,
-) -> int:
-    """Convert the datagrams of motion capture (JSON over UDP) to pose fixes for the robots."""
-    from fullswarm.localization import fixes as source
-    from fullswarm.localization.mocap import Format
-
-    options = source.Options(
-        listen,
-        source.parse_map(names or ()),
-        Format(source.unit_of(unit), y_up, sigma_m, sigma_rad),
-        insecure_network,
-        source.parse_objects(objects or ()),
-    )
-    return source.run(target.hub, target.swarm, options, with_parent)
+app.add_typer(fixes_app, name="fixes", rich_help_panel=RUN)
 
 
 def main() -> None:

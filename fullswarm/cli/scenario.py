@@ -43,17 +43,21 @@ def show(name: Name, seed: Seed = 0, robots: Robots = 4, as_json: Json = False) 
 @scenario_app.command("import")
 @shell_command(logs=True)
 def import_world(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A world of Gazebo, ARGoS, Stage, Menge or IR-SIM.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A world of Gazebo, ARGoS, Stage, Menge or IR-SIM, or a ROS map.")
+    ],
     form: Annotated[
         str | None,
-        typer.Option("--format", metavar="sdf|argos|stage|menge|irsim", help="The format (default: from the file)."),
+        typer.Option(
+            "--format", metavar="sdf|argos|stage|menge|irsim|map", help="The format (default: from the file)."
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.toml", help="Write to this file, not to stdout.")
     ] = None,
     as_json: Json = False,
 ) -> int:
-    """Convert another simulator's world to a scenario. Notes name what was omitted or approximated."""
+    """Convert another simulator's world or a ROS map to a scenario. Notes name what was omitted or approximated."""
     from fullswarm.evaluate.scenarios import commands as scenario_tasks
 
     return scenario_tasks.import_world(file, form, out, as_json)

@@ -109,6 +109,32 @@ def list_robots(target: Target, *, as_json: bool) -> int:
     return 0
 
 
+@shell_command()
+def docks(target: Target, as_json: Json = False) -> int:
+    """Show the docks of a swarm, who charges there, and which robots wait for one."""
+    from rich.markup import escape
+
+    seen = _collect(target)
+    if as_json:
+        found = seen.as_dict()
+        output.data_json({"docks": found["docks"], "waiting": found["waiting_for_docks"]})
+        return 0
+    if not seen.docks:
+        output.progress("no docks: the fleet file has no [[dock]], or no core answers")
+        return 0
+    batteries = {row.robot: row.health.battery for row in seen.robots if row.health is not None}
+    table = output.plain_table("dock", "state", "robot", "battery", "at", "reason")
+    for each in seen.docks:
+        battery = batteries.get(each.robot, -1.0)
+        share = "-" if battery < 0.0 else f"{battery:.0%}"
+        place = f"{each.x_m:.2f}, {each.y_m:.2f}"
+        table.add_row(*map(escape, (each.dock, each.phase, each.robot or "-", share, place, each.reason or "-")))
+    output.data_table(table)
+    if seen.waiting:
+        output.data(f"waiting for a dock: {', '.join(seen.waiting)}")
+    return 0
+
+
 def members(target: Target, robots: Iterable[str] | None) -> tuple[str, ...]:
     """Return the ids that `robots` stand for; the core knows the members of a group. None: the whole swarm.
 

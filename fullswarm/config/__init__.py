@@ -4,6 +4,7 @@
 
 Files:
 
+``docks.py``        the slots of docks, and what is wrong with docks and thresholds
 ``fleet_file.py``   reads and writes fleet files: all errors at once, each with its file, line and key
 ``mission_file.py`` reads mission files, and checks a mission as far as no swarm is needed
 ``models.py``       the schema and its ranges
@@ -18,15 +19,20 @@ from fullswarm.config.fleet_file import FleetShorthand, load_swarm
 from fullswarm.config.models import (
     DEFAULT_WORLD,
     AgentConfig,
+    BatteryConfig,
     BodyConfig,
+    ChargingConfig,
     CoreConfig,
+    DockConfig,
     DrivetrainConfig,
     EngineName,
+    FixesConfig,
     HubConfig,
     MoverConfig,
     NoiseConfig,
     PerformanceConfig,
     Point,
+    RangesConfig,
     RobotConfig,
     RobotId,
     Section,
@@ -39,16 +45,21 @@ __all__ = [
     "DEFAULT_HUB",
     "DEFAULT_WORLD",
     "AgentConfig",
+    "BatteryConfig",
     "BodyConfig",
+    "ChargingConfig",
     "CoreConfig",
+    "DockConfig",
     "DrivetrainConfig",
     "EngineName",
+    "FixesConfig",
     "FleetShorthand",
     "HubConfig",
     "MoverConfig",
     "NoiseConfig",
     "PerformanceConfig",
     "Point",
+    "RangesConfig",
     "RobotConfig",
     "RobotId",
     "Section",

@@ -12,9 +12,10 @@ from typing import Any
 import tomlkit
 from pydantic import Field, ValidationError
 
+from fullswarm.config.docks import dock_problems
 from fullswarm.config.models import RobotConfig, RobotId, Section, SwarmConfig
 from fullswarm.config.toml_errors import KeyPath, S, dotted, explain, line_numbers, parse_toml, validated
-from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 
 Table = dict[str, Any]
 _PLAIN_WORD = re.compile(r"[^\[\]{}\"'=,\n]+")
@@ -60,7 +61,19 @@ def load_swarm(path: Path | str, overrides: Iterable[str] = (), check: Check | N
     document = _Document(str(path), parse_toml(text, str(path)), line_numbers(text))
     for override in overrides:
         document.override(override)
-    return document.check(check)
+    document.read_map(Path(path).parent)
+    return _with_calibrations(document.check(check), Path(path).parent)
+
+
+def _with_calibrations(config: SwarmConfig, folder: Path) -> SwarmConfig:
+    """Return the settings with the cameras' calibrations in the fleet file's folder, from wherever it is read."""
+    if not config.camera:
+        return config
+    cameras = tuple(
+        each.model_copy(update={"calibration": folder.absolute() / (each.calibration or f"camera-{each.name}.toml")})
+        for each in config.camera
+    )
+    return config.model_copy(update={"camera": cameras})
 
 
 def write_swarm(config: SwarmConfig, path: Path) -> None:
@@ -111,6 +124,29 @@ class _Document:
         else:
             self._overridden[path] = label
 
+    def read_map(self, folder: Path) -> None:
+        """Put the boxes of the ROS map that [world] names beside its own, and the map's bounds where it has none."""
+        world = self._data.get("world")
+        name = world.pop("map", None) if isinstance(world, dict) else None
+        if name is None or world is None:
+            return
+        if not isinstance(name, str):
+            self._report(("world", "map"), "should be the path of a map's YAML file")
+            return
+        from fullswarm.maps.ros_map import read_ros_map  # few fleet files name a map, and NumPy loads slowly
+
+        try:
+            found = read_ros_map(folder / name)
+            boxes = [list(box) for box in found.boxes()]
+        except FullswarmError as error:
+            self._report(("world", "map"), str(error))
+            return
+        own = world.get("boxes", [])
+        if isinstance(own, list):
+            world["boxes"] = [*own, *boxes]
+        world.setdefault("bounds_m", [round(each, 6) for each in found.bounds_m])
+        world.setdefault("walls", False)
+
     def _write(self, parts: list[str], value: object) -> KeyPath | None:
         at: Any = self._data
         path: KeyPath = ()
@@ -148,6 +184,8 @@ class _Document:
         if config is not None and not self._problems:
             places: dict[str, KeyPath] = {each.id: ("robot", index) for index, each in enumerate(config.robot)}
             config = config.model_copy(update={"robot": shorthand + config.robot}) if shorthand else config
+            for path, what in dock_problems(config):
+                self._report(_in_file(path, len(shorthand)), what)
             for robot, key, what in () if more is None else more(config):
                 self._report((*places.get(robot, ("fleet",)), key), what)
         if self._problems or config is None:
@@ -199,6 +237,8 @@ class _Document:
 
     def _report(self, path: KeyPath, what: str) -> None:
         """Note `what`, at the override that set the value or at the nearest line of the file."""
+        if path[1:2] == (0,) and isinstance(self._data.get(str(path[0])), dict):
+            path = (path[0], *path[2:])  # one table where a list of tables may stand
         key = dotted(path)
         for length in range(len(path), 0, -1):
             label = self._overridden.get(path[:length])
@@ -211,6 +251,13 @@ class _Document:
                 return
         inner = (label for place, label in self._overridden.items() if place[: len(path)] == path)
         self._problems.append((0, f"{next(inner, self._name)}: {key}: {what}"))
+
+
+def _in_file(path: KeyPath, shorthand: int) -> KeyPath:
+    """Return where in the file a robot is, after as many of ``[fleet]``, which have nothing of their own."""
+    if path[0] != "robot" or not isinstance(path[1], int):
+        return path
+    return ("robot", path[1] - shorthand, *path[2:]) if path[1] >= shorthand else ("charging", *path[3:])
 
 
 def _element(container: object, part: str) -> int | None:

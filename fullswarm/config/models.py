@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PositiveFloat
 
 from fullswarm.bus.endpoint import DEFAULT_HUB, is_loopback
 from fullswarm.bus.network_faults import parse_network
@@ -25,6 +25,8 @@ SPEED_LIMIT_M_S = (0.01, 10.0)
 TURN_LIMIT_RAD_S = (0.01, 20.0)
 HEARING_M = (0.0, 1000.0)
 EXPIRES_S = (0.0, 60.0)
+LARGEST_TAG = 586
+"""Number of the last tag of the family AprilTag 36h11."""
 
 
 def _robot_id(text: str) -> str:
@@ -39,6 +41,10 @@ def _swarm_name(text: str) -> str:
 
 def _group_name(text: str) -> str:
     return _name(text, "group")
+
+
+def _dock_name(text: str) -> str:
+    return _name(text, "dock")
 
 
 def _name(text: str, owner: str) -> str:
@@ -80,6 +86,7 @@ def _ability(text: str) -> str:
 
 RobotId = Annotated[str, AfterValidator(_robot_id)]
 Ability = Annotated[str, AfterValidator(_ability)]
+DockName = Annotated[str, AfterValidator(_dock_name), Field(max_length=48)]
 GroupName = Annotated[str, AfterValidator(_group_name)]
 SwarmName = Annotated[str, AfterValidator(_swarm_name)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # m
@@ -89,6 +96,11 @@ Box = tuple[Coordinate, Coordinate, Size, Size, float]
 Conditions = Annotated[str, AfterValidator(_conditions)]
 Point = tuple[float, float]
 Origin = Annotated[tuple[float, float], AfterValidator(_on_earth)]
+
+
+def _tables(found: object) -> object:
+    """Take one table for a list of one."""
+    return (found,) if isinstance(found, dict) else tuple(found) if isinstance(found, list) else found
 
 
 class Section(BaseModel):
@@ -126,6 +138,9 @@ class AgentConfig(Section):
     object_speed_m_s: float = Field(2.0, ge=0.0, le=100.0)
     object_accel_m_s2: float = Field(2.0, ge=0.0, le=100.0)
     evade: bool = True
+    # robots with range sensors find their place on the map: [world] boxes and map
+    locate_on_map: bool = False
+    grid_cell_m: float = Field(0.05, ge=0.01, le=1.0)  # of the occupancy grid that range sensors fill
     state_cell_m: float | None = Field(None, ge=0.0, le=1e4)  # cells of the states, 0: all on one key; see below
     neighbour_timeout_s: float = Field(1.0, gt=0.0, le=60.0)
     command_ttl_s: float = Field(0.3, gt=0.0, le=2.0)
@@ -149,7 +164,10 @@ class AgentConfig(Section):
     # auto: ekf (fuse odometry with noisy poses or with fixes) unless the driver senses a pose that is filtered already
     estimator: Literal["auto", "direct", "ekf"] = "auto"
     pose_confidence_sigma: float = Field(3.0, ge=0.0, le=10.0)  # standard deviations of a pose that the filter counts
-    # no usable pose fix for so long: odometry alone, and another source may follow
+    # sources of fixes, the preferred one first, by how the name of their sensor begins ("mocap", "camera"): it counts
+    # where two contradict each other; else the robot stands until they agree
+    fix_order: tuple[str, ...] = ()
+    # no usable pose fix for so long: odometry alone, and another source may move the pose
     fix_timeout_s: float = Field(0.5, gt=0.0, le=60.0)
     fix_max_delay_s: float = Field(0.3, ge=0.0, le=2.0)  # a fix later than the fastest ones by more is refused
     fix_latency_s: float = Field(0.0, ge=0.0, le=1.0)  # what even the fastest fix takes from the camera to the agent
@@ -170,14 +188,30 @@ class NoiseConfig(Section):
 
     position_m: float = Field(0.0, ge=0.0, le=100.0)  # standard deviation
     heading_rad: float = Field(0.0, ge=0.0, le=10.0)
+    odometry: float = Field(0.0, ge=0.0, le=0.5)  # standard deviation of each robot's scale error: way, and turning
 
 
 class SightConfig(Section):
     """How simulated robots see other bodies, robots and movers alike, within the sensing radius and line of sight."""
 
     bodies: bool = True  # False: they see none
+    pose: bool = True  # False: robots sense no pose, only their odometry
     noise_m: float = Field(0.0, ge=0.0, le=10.0)  # standard deviation of a seen body's place, per axis
     dropout: float = Field(0.0, ge=0.0, le=1.0)  # share of the looks in which a body is missed
+
+
+class RangesConfig(Section):
+    """A simulated range sensor. Robots that have one sense obstacles and bodies by it alone."""
+
+    count: int = Field(360, ge=1, le=4096)  # rays of a scan
+    max_m: float = Field(6.0, gt=0.0, le=100.0)
+    sigma_m: float = Field(0.01, ge=0.0, le=10.0)  # standard deviation of a distance
+    dropout: float = Field(0.01, ge=0.0, le=1.0)  # share of the rays that measure nothing
+    rate_hz: float = Field(10.0, gt=0.0, le=200.0)  # scans per second
+    fov_rad: float = Field(6.283185307179586, gt=0.0, le=6.283185307179587)  # field of view, centred on its x axis
+    x_m: float = Field(0.0, ge=-10.0, le=10.0)  # where it is on the body
+    y_m: float = Field(0.0, ge=-10.0, le=10.0)
+    yaw_rad: float = Field(0.0, ge=-6.3, le=6.3)
 
 
 class MoverConfig(Section):
@@ -202,6 +236,19 @@ class DrivetrainConfig(Section):
     declared: bool = True  # the robots' `Limits` state all this; false: they claim the ideal unicycle
 
 
+class BatteryConfig(Section):
+    """Batteries of the simulated bodies; without this table bodies have none. A flat one moves its body no more."""
+
+    start: float = Field(1.0, ge=0.0, le=1.0)  # charge at first, as a share of the capacity
+    start_spread: float = Field(0.0, ge=0.0, le=1.0)  # each body's is lower than `start` by up to so much
+    rest_per_h: float = Field(0.1, ge=0.0, le=100.0)  # share of the capacity that computer and sensors draw
+    drive_per_m: float = Field(0.00014, ge=0.0, le=1.0)  # and what each metre and
+    turn_per_rad: float = Field(0.00002, ge=0.0, le=1.0)  # each radian of the wheels' motion takes beyond that
+    charge_per_h: float = Field(0.55, gt=0.0, le=1000.0)  # share that a dock puts into it, rest included
+    spread: float = Field(0.0, ge=0.0, lt=1.0)  # greatest deviation of each body's draw and charge, as a share
+    contact_m: float = Field(0.05, gt=0.0, le=1.0)  # a body so near a dock's pose has its contacts
+
+
 class BodyConfig(Section):
     """What one robot's body has instead of the world's; None: as the world."""
 
@@ -213,6 +260,7 @@ class BodyConfig(Section):
     declared_radius_m: float | None = Field(None, ge=0.005, le=50.0)
     mass_kg: float | None = Field(None, gt=0.0, le=10_000.0)
     drivetrain: DrivetrainConfig | None = None
+    ranges: RangesConfig | None = None
 
 
 EngineName = Literal["pybullet", "pybullet-wheels", "kinematic", "drivetrain"]
@@ -242,6 +290,8 @@ class WorldConfig(Section):
     bodies: dict[RobotId, BodyConfig] = {}  # [world.bodies.<robot>]: what differs from the above
     noise: NoiseConfig = NoiseConfig()
     sight: SightConfig = SightConfig()
+    ranges: RangesConfig | None = None  # of each robot; in place of `sight` and of sensed obstacles
+    battery: BatteryConfig | None = None
     movers: tuple[MoverConfig, ...] = ()
     seed: int = 0
 
@@ -273,6 +323,85 @@ class NetworkConfig(Section):
     since_s: float | None = None  # monotonic clock from which a partition's times count; None: each process's start
 
 
+class DockConfig(Section):
+    """A place where robots charge."""
+
+    id: DockName
+    pose: tuple[Coordinate, Coordinate, float]  # of a docked robot: x, y (m), heading (rad)
+    approach_m: float = Field(0.6, ge=0.1, le=50.0)  # so far before it robots line up, and to there they back out
+    slots: int = Field(1, ge=1, le=64)  # robots side by side
+    spacing_m: float = Field(0.6, gt=0.0, le=50.0)  # from slot to slot, to the left of a docked robot
+    robots: tuple[RobotId, ...] = ()  # that may use it; these and `makes` empty: all
+    makes: tuple[str, ...] = ()  # makes or models that may use it: "iRobot", "Create 2"
+    means: Literal["pose", "own"] = "pose"  # own: by the robot's own means, as a Create by its infrared beams
+
+
+class RobotChargingConfig(Section):
+    """What one robot has instead of the fleet's thresholds; None: as the fleet. Shares of a full battery."""
+
+    go_at: float | None = Field(None, gt=0.0, lt=1.0)
+    leave_at: float | None = Field(None, gt=0.0, le=1.0)
+    reserve: float | None = Field(None, ge=0.0, lt=1.0)
+
+
+class ChargingConfig(Section):
+    """When robots go to charge; without a dock none does. Charges are shares of a full battery."""
+
+    go_at: float = Field(0.35, gt=0.0, lt=1.0)  # below it a robot leaves its task for a dock that is free
+    early_at: float = Field(0.75, gt=0.0, le=1.0)  # and below this, where docks would be short if it waited
+    leave_at: float = Field(0.95, gt=0.0, le=1.0)  # charged so far it returns to its task
+    reserve: float = Field(0.15, ge=0.0, lt=1.0)  # what a robot shall have left at its dock; above `battery_low`
+    idle_robots: bool = False  # robots without a task charge too: also those that an operator has stopped
+    draw_per_h: float = Field(0.3, gt=0.0, le=100.0)  # first guesses, until it is learnt from each robot:
+    draw_per_m: float = Field(0.0003, gt=0.0, le=1.0)
+    charge_per_h: float = Field(0.5, gt=0.0, le=1000.0)
+    way_factor: float = Field(1.5, ge=1.0, le=10.0)  # way to a dock, as a multiple of the straight line
+    dock_s: float = Field(60.0, ge=5.0, le=3600.0)  # a robot that has not docked within this tries another dock
+    no_current_s: float = Field(20.0, ge=1.0, le=3600.0)  # and one that is docked, and is not charged within this
+    retry_s: float = Field(900.0, ge=10.0, le=86_400.0)  # after so long a dock that failed is tried again
+    speed_m_s: float = Field(0.1, ge=0.01, le=1.0)  # on the straight way into a dock and out of it
+
+
+class FixesConfig(Section):
+    """A source of poses that `up` starts: motion capture, a receiver or anchors at the base station."""
+
+    source: Annotated[str, Field(min_length=1, max_length=500)]  # URL: natnet://192.168.1.5, vicon://..., json://...
+    axes: Literal["z-up", "y-up"] | None = None  # of the capture system; None: what systems of its kind have
+    unit: Literal["m", "cm", "mm"] | None = None
+    sigma_m: float | None = Field(None, ge=1e-4, le=100.0)  # standard deviation where the source gives none
+    sigma_rad: float | None = Field(None, ge=1e-4, le=3.0)
+    map: dict[str, RobotId] = {}  # robot by its name in the capture system; other names are robot ids
+    objects: dict[str, Annotated[float, Field(gt=0.0, le=100.0)]] = {}  # radius (m) by the name of what is no robot
+    robot: str = ""  # the robot that the source measures, where it names none (GNSS, a radio tag)
+    insecure_network: bool = False  # a source that listens may do so beyond this machine
+
+
+TagNumber = Annotated[int, Field(ge=0, le=LARGEST_TAG)]
+FloorPlace = tuple[TagNumber, Coordinate, Coordinate, float]
+
+
+class TagsConfig(Section):
+    """The tags that cameras see (AprilTag 36h11); `fullswarm track sheets` prints them."""
+
+    size_m: float = Field(0.12, ge=0.01, le=10.0)  # side of the black square, on robots
+    height_m: float = Field(0.1, ge=0.0, le=10.0)  # of the robots' tags above the floor
+    floor_size_m: float = Field(0.14, ge=0.01, le=10.0)
+    floor: tuple[FloorPlace, ...] = ()  # number, x, y (m), direction of the upper edge (rad)
+
+
+class CameraConfig(Section):
+    """A camera that sees the robots' tags; `up` starts a process for it."""
+
+    name: RobotId
+    source: Annotated[
+        str, Field(min_length=1, max_length=500)
+    ]  # v4l2:///dev/video0, rtsp://…, http://…, file, world://
+    calibration: Path | None = None  # what `fullswarm track calibrate` has written; None: camera-<name>.toml
+    rate_hz: float = Field(20.0, ge=1.0, le=200.0)  # pictures that are looked at
+    latency_s: float = Field(0.0, ge=0.0, le=2.0)  # from the exposure to the arrival, where the source states no time
+    show: Annotated[str, Field(max_length=100)] = ""  # HOST:PORT of the live picture; empty: none
+
+
 class RobotConfig(Section):
     """One robot of the fleet."""
 
@@ -282,7 +411,13 @@ class RobotConfig(Section):
         None  # the world gives it a body and a port; its real driver talks to that
     )
     pose: tuple[Coordinate, Coordinate, float] | None = None  # start: x, y (m), heading (rad)
+    charging: RobotChargingConfig = RobotChargingConfig()
+    fixes: Annotated[str, Field(max_length=500)] = ""  # URL of a sensor on board that its agent reads: gnss:///dev/tty…
     capabilities: tuple[Ability, ...] = Field((), max_length=32)  # beside those of its make: "carry", "camera"
+    tag: TagNumber | None = None  # that cameras see; None: its number in the file, from 1
+    tag_size_m: float | None = Field(None, ge=0.01, le=10.0)  # None: as in [tags]
+    tag_height_m: float | None = Field(None, ge=0.0, le=10.0)
+    tag_offset_m: tuple[Coordinate, Coordinate, float] = (0.0, 0.0, 0.0)  # x, y, turn (rad) of the tag on the robot
     host: str = ""  # its companion computer, for `fullswarm deploy`; empty: <id>.local
     ssh_user: str = "fullswarm-admin"
     ssh_port: int = Field(22, ge=1, le=65535)
@@ -314,7 +449,14 @@ class SwarmConfig(Section):
     world: WorldConfig | None = None
     performance: PerformanceConfig = PerformanceConfig()
     network: NetworkConfig = NetworkConfig()
+    fixes: Annotated[tuple[FixesConfig, ...], BeforeValidator(_tables)] = ()  # one table, or several
+    anchors: dict[str, tuple[Coordinate, Coordinate, Coordinate]] = {}  # x, y, z (m) of radio anchors
+    radio_height_m: float = Field(0.0, ge=-10.0, le=100.0)  # of the robots' radios above the ground
+    tags: TagsConfig = TagsConfig()
+    camera: tuple[CameraConfig, ...] = ()
     robot: tuple[RobotConfig, ...] = ()
+    dock: tuple[DockConfig, ...] = Field((), max_length=256)
+    charging: ChargingConfig = ChargingConfig()
     groups: dict[GroupName, tuple[RobotId, ...]] = {}  # @name names these robots wherever robots are named
 
     @property

@@ -1,8 +1,8 @@
 """The core layer (paper II.C): runs on the base station, decides which robot runs what, has no connection to a driver.
 
 In: ``BehaviourRequest``, ``MissionRequest`` and ``StopRequest`` of the operators, ``HealthReport`` and
-``ControlAck`` of the agents. Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` and
-``MissionStatus`` to all, ``Heartbeat``.
+``ControlAck`` of the agents. Out: ``ControlRequest``, ``Command`` and ``ChargeOrder`` to each agent,
+``RequestStatus``, ``MissionStatus`` and ``ChargingStatus`` to all, ``Heartbeat``.
 
 ``behaviours.toml``    the behaviours that exist: people edit this
 ``behaviours.py``      reads and checks the records of behaviours; completes a request's parameters by its record
@@ -18,6 +18,9 @@ In: ``BehaviourRequest``, ``MissionRequest`` and ``StopRequest`` of the operator
 ``missions.py``        runs missions: steps of requests with conditions, kept over restarts
 ``mission_state.py``   a mission's state machine, and what a step waits for; pure
 ``mission_facts.py``   where robots are and what metrics say, while a mission needs it
+``charging.py``        sends robots to docks and back, by their reports
+``charge_plan.py``     which robots must go now, so that docks are not short later; pure
+``energy.py``          what a robot draws, and how fast a dock charges it: learnt from its reports
 ``remap.py``           keeps the node of the centralised behaviours in step with the robots' desired states
 ``relay.py``           passes on states between robots that do not receive each other
 ``clock.py``           tells agents the core's time

@@ -21,6 +21,8 @@ from fullswarm.keys import Keys
 from fullswarm.messages import (
     STOP,
     BehaviourRequest,
+    ChargeOrder,
+    ChargingStatus,
     EStop,
     EStopReceipt,
     HealthReport,
@@ -190,6 +192,7 @@ class AuditRecorder:
         self._params: Recent[str, Event] = Recent(256)
         self._orders: Recent[tuple[str, str], None] = Recent(1024)  # stops, e-stops and receipts, which are repeated
         self._leases: dict[str, Lease] = {}
+        self._docks: dict[str, tuple[str, str]] = {}  # slot → phase and reason, of those that are not used
         self._holders: Recent[str, str] = Recent(256)  # operator → who sent their newest lease request
         self._robots: dict[str, Robot] = {}
         self._summary_s, self._noted_s, self._sync_s = scheduler.now_s(), scheduler.now_s(), -math.inf
@@ -201,6 +204,8 @@ class AuditRecorder:
             ParamReply: self._param_answered,
             ParamChanged: self._param_changed,
             Leases: self._leased,
+            ChargeOrder: self._charge_order,
+            ChargingStatus: self._docks_changed,
             EStop: self._core_estop,
         }
         self._subscriptions = [
@@ -325,6 +330,25 @@ class AuditRecorder:
                 what |= {"refused_by": status.refused_by} if status.refused_by else {}
                 what |= {"results": {each.robot: each.outcome for each in status.results}} if status.results else {}
                 self._write(Event("request_end", what, status.robots, result, source=self._process))
+
+    # ---------------------------------------------------------------- charging
+    def _charge_order(self, order: ChargeOrder) -> None:
+        """Record who is sent where; an order is repeated until its robot reports it."""
+        if self._new(f"charge {order.op}", f"{order.id} {order.dock}", self._process):
+            what: dict[str, object] = {"id": order.id, "dock": order.dock}
+            self._write(Event("charge", what, (order.robot,), order.op, source=self._process))
+
+    def _docks_changed(self, status: ChargingStatus) -> None:
+        """Record the docks that are not used, and those that are used again."""
+        found: dict[str, tuple[str, str]] = {
+            each.dock: (each.phase, each.reason) for each in status.docks if each.reason
+        }
+        for dock in {**found, **self._docks}:
+            phase, why = found.get(dock, ("free", ""))
+            if found.get(dock) != self._docks.get(dock):
+                result = f"{phase}: {why}" if why else "in use again"
+                self._write(Event("dock", {"dock": dock}, (), result, source=self._process))
+        self._docks = found
 
     # ---------------------------------------------------------------- stops
     def _new(self, kind: str, order_id: str, sender: str) -> bool:

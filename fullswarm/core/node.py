@@ -9,6 +9,7 @@ from fullswarm.bus import Bus
 from fullswarm.clock import wall_time_s
 from fullswarm.config import SwarmConfig
 from fullswarm.core.behaviours import PREFIX, Library
+from fullswarm.core.charging import ChargingNode
 from fullswarm.core.clock import ClockServer
 from fullswarm.core.groups import Groups
 from fullswarm.core.latches import Latches
@@ -94,13 +95,14 @@ class CoreNode:
         self.missions = Missions(
             bus, keys, scheduler, store, controller, self.handler, board, roster, authority, request_order, process
         )
+        self.charging = ChargingNode(bus, keys, scheduler, config, store, roster, self.handler.halts_of, process)
         self.extra = tuple(extra)
         checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check, f"{GROUP}*": groups.check}
         params = ParamServer(bus, keys, NODE, store, checks, self.library.expand, now_s=scheduler.now_s)
         self.relay = StateRelay(bus, keys, scheduler, config.agent.sensing_radius_m, config.state_cell_m)
         self._parts: tuple[Closing, ...] = (
-            self.missions, controller, authority, self.handler, board, self.remapper, latches, self.relay, roster,
-            params, ClockServer(bus, keys, scheduler, process, wall_s), *reversed(self.extra),
+            self.charging, self.missions, controller, authority, self.handler, board, self.remapper, latches,
+            self.relay, roster, params, ClockServer(bus, keys, scheduler, process, wall_s), *reversed(self.extra),
         )  # fmt: skip
         self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
 

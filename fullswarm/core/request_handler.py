@@ -162,6 +162,11 @@ class RequestHandler:
         for robot in robots if halt_id else ():
             self._state(robot).halts[halt_id] = None
 
+    def halts_of(self, robot: str) -> tuple[str, ...]:
+        """Return the newest stops of `robot` that the core knows."""
+        state = self._robots.get(robot)
+        return () if state is None else tuple(state.halts)
+
     def ordered_s(self, robot: str) -> float:
         """Return when this core got `robot`'s newest order; minus infinity for none, and for one from before it."""
         state = self._robots.get(robot)

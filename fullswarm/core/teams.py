@@ -20,7 +20,7 @@ from typing import NamedTuple
 from fullswarm.core.behaviours import Record
 from fullswarm.core.groups import MARK, Groups
 from fullswarm.errors import RequestRefused
-from fullswarm.messages import BehaviourRequest
+from fullswarm.messages import AWAY, BehaviourRequest
 
 REQUEST, GROUP, SWARM = "request", "group", "swarm"
 
@@ -84,4 +84,5 @@ def _named(request: BehaviourRequest, robots: Sequence[str], groups: Groups) -> 
 
 
 def _number(*parts: str) -> int:
-    return zlib.crc32(" ".join(parts).encode()) or 1
+    number = zlib.crc32(" ".join(parts).encode())
+    return 1 if number in (0, AWAY) else number

@@ -22,6 +22,8 @@ Further files:
 ``null/``                The null make: ``null://<id>``, a robot without hardware
 ``probe/``               Identifies the robot on a port without moving it: for `fullswarm robots find` and `fullswarm
                          doctor`
+``ros/``                 ROS robots that take ``cmd_vel`` and give ``odom``, over rmw_zenoh, zenoh-bridge-ros2dds or
+                         rosbridge
 ``sim/``                 The simulated make
 ``linked.py``            Runs the session with one robot for every make: thread, port, rules of the contract
 ``ports.py``             Opens serial devices, TCP and UDP, and reports what to do where that fails

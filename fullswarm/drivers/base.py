@@ -132,6 +132,24 @@ POSE_SIGMA_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
+class RangeScan:
+    """One scan of a range sensor: a lidar, or a group of time-of-flight sensors.
+
+    Angles count from the sensor's own x axis, counter-clockwise; a distance is along its ray from the sensor's origin.
+    Infinite: nothing is within `max_m`. NaN: no measurement, of which nothing follows.
+    """
+
+    stamp_s: float  # when its last ray was measured, or arrived, on this machine's monotonic clock
+    angles_rad: Array  # (k,) in the order in which they were measured
+    distances_m: Array  # (k,)
+    max_m: float
+    mount: Pose = Pose(0.0, 0.0, 0.0)  # of the sensor on the body: x forward, y left, heading of its x axis
+    name: str = "ranges"  # tells the sensors of a robot apart
+    sigma_m: float = 0.01  # standard deviation of a distance
+    duration_s: float = 0.0  # from the first ray to the last: a robot that turns meanwhile is taken into account
+
+
+@dataclass(frozen=True, slots=True)
 class Description:
     """What is known of a robot before connecting."""
 
@@ -144,6 +162,7 @@ class Description:
     senses_obstacles: bool = False
     senses_bumps: bool = False
     bodies_range_m: float = 0.0  # of the sense of `Reading.bodies`; 0: it has none
+    ranges_max_m: float = 0.0  # of the sense of `Reading.ranges`, of its farthest sensor; 0: it has none
     watchdog_s: float | None = None  # the device's own: it stops by itself after this silence; None: it has none
     standstill: Standstill = EXACT
     pose_sigma_m: float = POSE_SIGMA_M  # standard deviation of a sensed position, per axis, while all is well
@@ -154,12 +173,12 @@ class Description:
     def capabilities(self) -> tuple[str, ...]:
         """What it can do, as requests and control laws name it, sorted.
 
-        Its `abilities`, the names of its actuators, and of "bodies", "bumps", "obstacles", "pose" what it senses;
-        "reverse": it can drive backwards.
+        Its `abilities`, the names of its actuators, and of "bodies", "bumps", "obstacles", "pose", "ranges" what it
+        senses; "reverse": it can drive backwards.
         """
         senses = {
             "bodies": self.bodies_range_m > 0.0, "bumps": self.senses_bumps, "obstacles": self.senses_obstacles,
-            "pose": self.senses_pose, "reverse": self.limits.can_reverse,
+            "pose": self.senses_pose, "ranges": self.ranges_max_m > 0.0, "reverse": self.limits.can_reverse,
         }  # fmt: skip
         found = {*self.abilities, *(each.name for each in self.actuators)}
         return tuple(sorted(found | {name for name, has in senses.items() if has}))
@@ -178,6 +197,7 @@ class Reading:
     hazards: Hazard = Hazard.NONE
     contacts: int = 0  # bodies touched now
     battery: float | None = None  # 0 to 1
+    charging: bool | None = None  # current flows into the battery; None: it does not report that
     obstacles: Array = field(default_factory=lambda: NO_OBSTACLES)
     """Sensed static obstacles, shape (k, 6): centre x, y (m), half sizes x, y (m), yaw (rad), corner radius (m).
 
@@ -187,6 +207,8 @@ class Reading:
 
     All whose rim is within `bodies_range_m` of the robot's centre and that nothing hides; other robots are among
     them. None: the robot did not look; no rows: it saw that nothing is there."""
+    ranges: tuple[RangeScan, ...] = ()
+    """The newest scan of each range sensor; the same objects until there is a newer one."""
 
 
 class Driver(Protocol):
@@ -262,6 +284,29 @@ class TakesFixes(Protocol):
         ...
 
 
+@runtime_checkable
+class Docks(Protocol):
+    """A driver whose robot finds its dock by itself: a Create by the infrared beams of its Home Base."""
+
+    def dock(self) -> None:
+        """Let the robot look for its dock; it drives by itself then, and stays ACTIVE until it is there (READY).
+
+        `command()` applies zero meanwhile, but has to be called: without it for 0.3 s, or by `deactivate()`, the
+        robot stops. Raises ``DriverError`` unless ACTIVE.
+        """
+        ...
+
+    @property
+    def docking(self) -> bool:
+        """The robot looks for its dock by itself."""
+        ...
+
+    @property
+    def docked(self) -> bool:
+        """The robot stands on its dock, as the robot reports it."""
+        ...
+
+
 @dataclass(slots=True)
 class FleetReading:
     """Readings of the n robots of one host as columns: n is 1 on board, the whole swarm in lockstep."""
@@ -277,6 +322,8 @@ class FleetReading:
     position_sigma_m: Array  # (n,) as in Reading, NaN where the driver states none
     odometry_breaks: NDArray[np.int64] | None = None  # (n,) as in Reading; None: never any
     bodies: Array | None = None  # (k, 3) as in Reading; of all robots together, without themselves
+    ranges: tuple[tuple[int, RangeScan], ...] = ()  # robot's row and scan; the same tuple until one is newer
+    charging: NDArray[np.int8] | None = None  # (n,) 1 or 0 as in Reading, -1 unknown; None: all unknown
 
 
 class Fleet(Protocol):
@@ -319,6 +366,17 @@ class Fleet(Protocol):
 
     def locate(self, row: int, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
         """Tell robot `row` where it was seen, world frame; nothing happens if its driver does not take fixes."""
+        ...
+
+    def seek_dock(self, row: int) -> bool:
+        """Let robot `row` find its dock by itself, see :class:`Docks`; call it each tick until it is `docked`.
+
+        Returns False where its driver cannot.
+        """
+        ...
+
+    def docked(self, row: int) -> bool:
+        """Tell whether robot `row` reports that it stands on a dock; False where its driver cannot tell."""
         ...
 
     def actuate(self, row: int, name: str, value: object) -> None:

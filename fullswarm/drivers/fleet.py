@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import numpy as np
@@ -13,10 +14,12 @@ from fullswarm.drivers.actuators import Actuates, checked
 from fullswarm.drivers.base import (
     NO_OBSTACLES,
     Description,
+    Docks,
     Driver,
     FleetReading,
     Lifecycle,
     Pose,
+    RangeScan,
     Reading,
     TakesFixes,
     Twist,
@@ -48,6 +51,7 @@ class OneRobot:
         self._again_s = math.inf
         self._activating = False
         self._last: Reading | None = None
+        self._ranges: tuple[RangeScan, ...] = ()
         self._breaks = np.zeros(1, np.int64)
         self._reading = FleetReading(
             stamp_s=np.full(1, -math.inf),
@@ -60,6 +64,7 @@ class OneRobot:
             obstacles=NO_OBSTACLES,
             position_sigma_m=np.full(1, math.nan),
             odometry_breaks=self._breaks,
+            charging=np.full(1, -1, np.int8),
         )
 
     def open(self) -> None:
@@ -90,8 +95,13 @@ class OneRobot:
         rows.hazards[0] = int(new.hazards)
         rows.contacts[0] = new.contacts
         rows.battery[0] = -1.0 if new.battery is None else new.battery
+        if rows.charging is not None:
+            rows.charging[0] = -1 if new.charging is None else int(new.charging)
         rows.obstacles = new.obstacles
         rows.bodies = new.bodies
+        if new.ranges is not self._ranges:
+            self._ranges = new.ranges
+            rows.ranges = tuple((0, scan) for scan in new.ranges)
         rows.position_sigma_m[0] = math.nan if new.position_sigma_m is None else new.position_sigma_m
         return rows
 
@@ -134,6 +144,22 @@ class OneRobot:
         del row
         if self._fixable is not None:
             self._fixable.locate(pose, position_sigma_m, heading_sigma_rad)
+
+    def seek_dock(self, row: int) -> bool:
+        """Let the robot find its dock by itself, if its driver can."""
+        del row
+        driver = self._driver
+        if not isinstance(driver, Docks):
+            return False
+        if driver.state is Lifecycle.ACTIVE and not driver.docking and not driver.docked:
+            with contextlib.suppress(DriverError):  # it has just left ACTIVE: asked again at the next tick
+                driver.dock()
+        return True
+
+    def docked(self, row: int) -> bool:
+        """Tell whether the robot reports that it stands on a dock."""
+        del row
+        return isinstance(self._driver, Docks) and self._driver.docked
 
     def actuate(self, row: int, name: str, value: object) -> None:
         """Check a value against the driver's description, and pass it on."""

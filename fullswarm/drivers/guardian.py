@@ -16,10 +16,11 @@ A guardian may take :data:`START_S` to start: a slow board, busy with its boot, 
 from __future__ import annotations
 
 import errno
+import os
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,21 +127,37 @@ class Attempts:
         return self._next_s - self._clock.now_s()
 
 
-class _Process:
+class GuardianProcess:
     """A guardian's process and this end of its socket; ``OSError`` when there is no room for one.
 
     It lives in a session of its own, where no Ctrl-C and no killed process group reaches it.
+
+    Parameters
+    ----------
+    command
+        Returns the command line, given the number of its descriptor of the socket.
+    descriptors
+        Further descriptors that it inherits.
+    environment
+        Added to that of this process.
     """
 
-    def __init__(self, way: str, port: int, *arguments: str, clock: Clock, attempts: Attempts) -> None:
+    def __init__(
+        self,
+        command: Callable[[int], Sequence[str]],
+        descriptors: Sequence[int],
+        clock: Clock,
+        attempts: Attempts,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self._clock, self._attempts = clock, attempts
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        command = [sys.executable, "-I", "-S", str(Path(process.__file__)), way, str(port), str(theirs.fileno())]
         with theirs:
             try:
                 self._process = subprocess.Popen(  # noqa: S603  (our own interpreter and file)
-                    [*command, str(SILENCE_S), *arguments],
-                    pass_fds=(port, theirs.fileno()), start_new_session=True,
+                    command(theirs.fileno()),
+                    pass_fds=(*descriptors, theirs.fileno()), start_new_session=True,
+                    env=None if environment is None else {**os.environ, **environment},
                     stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 )  # fmt: skip
             except OSError:
@@ -226,6 +243,16 @@ class _Process:
             self._process.wait()
 
 
+def _guardian(way: str, port: int, *arguments: str, clock: Clock, attempts: Attempts) -> GuardianProcess:
+    """Start a process of :mod:`.guardian_process` over a port."""
+
+    def command(link: int) -> list[str]:
+        file = str(Path(process.__file__))
+        return [sys.executable, "-I", "-S", file, way, str(port), str(link), str(SILENCE_S), *arguments]
+
+    return GuardianProcess(command, (port,), clock, attempts)
+
+
 class GuardedPort(Port[bytes]):
     """A serial port held by a guardian.
 
@@ -259,7 +286,7 @@ class GuardedPort(Port[bytes]):
             with suppress(OSError):
                 port.write(park)  # the last guardian may have died while the robot drove, and the next one takes time
             try:
-                self._guardian = _Process("relay", port.fileno(), park.hex(), clock=clock, attempts=attempts)
+                self._guardian = _guardian("relay", port.fileno(), park.hex(), clock=clock, attempts=attempts)
             except OSError as error:
                 what = f"the process that guards this port does not start: {error.strerror or error}"
                 raise DriverError(what, where=path, hint=NO_ROOM) from error
@@ -326,7 +353,7 @@ class Guardian:
     def __init__(self, clock: Clock | None = None) -> None:
         self._clock = clock or MonotonicClock()
         self._attempts = Attempts(self._clock)
-        self._process: _Process | None = None
+        self._process: GuardianProcess | None = None
         self._descriptor: int | None = None
         self._packet = process.plan(())
         self._sent = False  # the process has the newest plan
@@ -385,7 +412,7 @@ class Guardian:
         if self._descriptor is None or self._attempts.left_s > 0.0:
             return
         try:
-            self._process = _Process("watch", self._descriptor, clock=self._clock, attempts=self._attempts)
+            self._process = _guardian("watch", self._descriptor, clock=self._clock, attempts=self._attempts)
         except OSError as error:
             self._attempts.failed(error.strerror or str(error))
             self.trouble = f"the process that guards this port does not start: {self._attempts.why} ({NO_ROOM})"

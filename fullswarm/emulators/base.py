@@ -200,8 +200,8 @@ class Emulator(ABC):
 
     @property
     @abstractmethod
-    def motors_on(self) -> bool:
-        """Whether its motors obey set-points now: armed, in closed loop, in Safe mode."""
+    def motors_on(self) -> bool | None:
+        """Whether its motors obey set-points now: armed, in closed loop, in Safe mode. None: nothing decides that."""
         ...
 
     def start(self) -> Self:

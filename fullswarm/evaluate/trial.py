@@ -218,6 +218,7 @@ def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
         robots_touched=counted.robots_touched,
         mover_events=counted.mover_events,
         mover_hits=counted.mover_hits,
+        pushed_events=counted.pushed_events,
     )
 
 

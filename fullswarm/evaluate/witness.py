@@ -92,6 +92,35 @@ class Standard:
         )
 
 
+class TwoKinds:
+    """Counts contact events of n robots in two kinds; a contact is of the kind of its first step.
+
+    Attributes
+    ----------
+    kinds : the events of each
+    """
+
+    def __init__(self, count: int) -> None:
+        self.kinds = CollisionCalculator(count), CollisionCalculator(count)
+        self._counts = np.zeros((2, count), np.int64)
+        self._second = np.zeros(count, np.bool_)
+        self._since_s = np.full(count, -np.inf)
+
+    def sample(self, time_s: float, rows: Index, second: NDArray[np.bool_]) -> None:
+        """Take in one step: a robot's row (m,) for each thing that it touches, and whether that is of the second kind.
+
+        A robot that begins to touch things of both kinds at once has touched one of the second.
+        """
+        new = time_s - self._since_s[rows] > EVENT_S
+        self._second[rows[new]] = False
+        self._second[rows[new & second]] = True
+        self._since_s[rows] = time_s
+        self._counts[:] = 0
+        np.add.at(self._counts, (self._second[rows].astype(np.int64), rows), 1)
+        for kind, counts in zip(self.kinds, self._counts, strict=True):
+            kind.update(time_s, counts)
+
+
 class MoverContacts:
     """Counts contacts of n robots with movers, by what brought them about.
 
@@ -101,24 +130,36 @@ class MoverContacts:
     """
 
     def __init__(self, count: int) -> None:
-        self.own, self.hit = CollisionCalculator(count), CollisionCalculator(count)
-        self._counts = np.zeros((2, count), np.int64)
-        self._by_itself = np.zeros(count, np.bool_)
-        self._since_s = np.full(count, -np.inf)
+        self._contacts = TwoKinds(count)
+        self.hit, self.own = self._contacts.kinds
 
     def sample(self, time_s: float, found: ContactReferee) -> None:
-        """Take in one step. How a contact counts is decided by its first step, before anything was pushed in it."""
-        self._counts[:] = 0
-        for row, other in found.pairs[found.pairs[:, 1] < -found.fixed].tolist():
-            if time_s - self._since_s[row] > EVENT_S:
-                way = found.path[1, row] - found.path[0, row]
-                towards = found.solids.obstacles[-1 - other, :2] - found.path[0, row]
-                speed = float(way @ towards) / max(float(np.hypot(*towards)), 1e-9) / float(found.part_s[0])
-                self._by_itself[row] = speed > STILL_M_S
-            self._since_s[row] = time_s
-            self._counts[0 if self._by_itself[row] else 1, row] += 1
-        self.own.update(time_s, self._counts[0])
-        self.hit.update(time_s, self._counts[1])
+        """Take in one step. What the robot did is judged before anything was pushed in it."""
+        rows, others = found.pairs[found.pairs[:, 1] < -found.fixed].T
+        way = found.path[1, rows] - found.path[0, rows]
+        towards = found.solids.obstacles[-1 - others, :2] - found.path[0, rows]
+        speed = (way * towards).sum(axis=1) / np.maximum(np.hypot(*towards.T), 1e-9) / found.part_s[0]
+        self._contacts.sample(time_s, rows, speed > STILL_M_S)
+
+
+class RobotContacts:
+    """Counts contacts of n robots with each other, apart those of a pair of which a mover pushes one.
+
+    Attributes
+    ----------
+    own, pushed : neither of the two had been touched by a mover for `EVENT_S` when they met; the others
+    """
+
+    def __init__(self, count: int) -> None:
+        self._contacts = TwoKinds(count)
+        self.own, self.pushed = self._contacts.kinds
+        self._mover_s = np.full(count, -np.inf)
+
+    def sample(self, time_s: float, pairs: Index, by_mover: Index) -> None:
+        """Take in one step: pairs (m, 2) of robots that touch, and the rows of those that a mover touches."""
+        self._mover_s[by_mover] = time_s
+        pushed = time_s - self._mover_s[pairs].max(axis=1) <= EVENT_S
+        self._contacts.sample(time_s, pairs.ravel(), np.repeat(pushed, 2))
 
 
 class Referee:
@@ -134,11 +175,11 @@ class Referee:
         count = len(bodies.ids)
         self._bodies, self._standard = bodies, standard
         self._most = standard.limits * (1.0 + TOLERANCE)
-        self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
-        self.movers = MoverContacts(count)
+        self.obstacles = CollisionCalculator(count)
+        self.robots, self.movers = RobotContacts(count), MoverContacts(count)
         self.pairs: set[tuple[int, int]] = set()
         self.touched = np.zeros(count, np.bool_)
-        self._counts, self._touching = np.zeros((2, count), np.int64), False
+        self._counts, self._touching = np.zeros(count, np.int64), False
         self._steps = 0
         solids = bodies.referee.solids
         fixed = Solids(solids.obstacles[: bodies.referee.fixed], solids.radius)
@@ -179,24 +220,22 @@ class Referee:
         counts[:] = 0
         self._touching = len(found.pairs) > 0
         pairs, touched = found.pairs, found.contacts
+        by_mover = pairs[:0, 0]
         if found.fixed < len(found.solids.obstacles):
             self.movers.sample(time_s, found)
+            by_mover = pairs[pairs[:, 1] < -found.fixed, 0]
             pairs = pairs[pairs[:, 1] >= -found.fixed]
             touched = np.bincount(pairs[pairs >= 0], minlength=len(touched))
+        robots = pairs[pairs[:, 1] >= 0]
         if len(pairs):
-            for first, second in pairs.tolist():
-                if second >= 0:
-                    counts[0, first] += 1
-                    counts[0, second] += 1
-                    self.pairs.add((min(first, second), max(first, second)))
-                else:
-                    counts[1, first] += 1
+            self.pairs.update((min(pair), max(pair)) for pair in robots.tolist())
+            np.add.at(counts, pairs[pairs[:, 1] < 0, 0], 1)
             self.touched |= touched > 0
         if self._touching:  # also what a mover pushes: its way through the step is no straight one
             rows = np.flatnonzero(found.contacts)
             self._bends.append((self._steps, rows, found.path[1:, rows].swapaxes(0, 1).copy()))
-        self.robots.update(time_s, counts[0])
-        self.obstacles.update(time_s, counts[1])
+        self.robots.sample(time_s, robots, by_mover)
+        self.obstacles.update(time_s, counts)
 
     def _end_span(self) -> None:
         """Take in the steps of the present span, and begin a new one."""
@@ -327,13 +366,14 @@ def _grains(pose: Array, command: Array) -> NDArray[np.int32]:
 class ContactTally(NamedTuple):
     """What a witness counts."""
 
-    robot_events: Index  # (n,) contacts with robots, one for each of the two
+    robot_events: Index  # (n,) contacts with robots, one for each of the two, but `pushed_events`
     obstacle_events: Index  # (n,)
     pairs_touched: int | None  # pairs of robots that have touched; None: not known
     robots_touched: int  # robots that have touched anything
     above_limits: int  # commands beyond the actuators' limits; 0 where they cannot be seen
     mover_events: int = 0  # contacts with movers towards which the robot moved
     mover_hits: int = 0  # movers that touched a robot that stood or went away
+    pushed_events: int = 0  # contacts of two robots of which a mover pushed one
 
 
 class Witness(Protocol):
@@ -450,13 +490,14 @@ class WorldWitness:
         """Return what the referee has counted."""
         found = self._referee
         return ContactTally(
-            robot_events=found.robots.events,
+            robot_events=found.robots.own.events,
             obstacle_events=found.obstacles.events,
             pairs_touched=len(found.pairs),
             robots_touched=int(found.touched.sum()),
             above_limits=found.above_limits,
             mover_events=int(found.movers.own.events.sum()),
             mover_hits=int(found.movers.hit.events.sum()),
+            pushed_events=int(found.robots.pushed.events.sum()),
         )
 
     def evidence(self) -> Evidence:
@@ -595,7 +636,7 @@ class ReportedWitness:
         A bumper does not tell the pair: what it met is inferred from what was near at the time.
         """
         judged = self._referee
-        robots = np.maximum(self._events[0], judged.robots.events)
+        robots = np.maximum(self._events[0], judged.robots.own.events)
         obstacles = np.maximum(self._events[1], judged.obstacles.events)
         return ContactTally(robots, obstacles, len(judged.pairs), int(((robots > 0) | (obstacles > 0)).sum()), 0)
 

@@ -18,6 +18,7 @@ from fullswarm.bus.base import CENTRALISED, CORE, SenderBus
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
+from fullswarm.config.docks import slots_of
 from fullswarm.core.node import CoreNode
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
@@ -65,7 +66,7 @@ class Lockstep:
         self.runtime = Runtime(SimClock(), mailbox)
         self.bus = LocalBus(mailbox)
         settings = config.world_or_default
-        self.world = World(settings, config.robots, nodes.start_poses(config))
+        self.world = World(settings, config.robots, nodes.start_poses(config), slots_of(config))
         # Before the agent's timer: a period ends with the world's step, then the robots read what came of it.
         self.runtime.every(1.0 / settings.rate_hz, self.world.step)
         core = nodes.core(self.bus_of(CORE), self.runtime, config, "core-0", self.runtime.now_s)

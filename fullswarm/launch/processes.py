@@ -194,8 +194,19 @@ def centralised(config: SwarmConfig, with_parent: bool) -> int:
     return serve_on_bus(config, with_parent, build, CENTRALISED)
 
 
-def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
-    """Serve as the agent of one robot."""
+def agent(
+    config: SwarmConfig,
+    robot: str,
+    with_parent: bool,
+    sensors: Callable[[Bus, Runtime], Iterable[Node]] = lambda _bus, _runtime: (),
+) -> int:
+    """Serve as the agent of one robot.
+
+    Parameters
+    ----------
+    sensors
+        Makes the nodes that read sensors on board which the driver does not have, such as a GNSS receiver.
+    """
     from fullswarm.agent.orders.estops import LatchFolder
     from fullswarm.agent.orders.tasks import read_records_again
     from fullswarm.agent.state import Identity
@@ -221,15 +232,16 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
             node.pose_conflicts.other_version = why
 
         watch = VersionWatch(bus, Keys(config.swarm), runtime, robot, note)
+        more = list(sensors(bus, runtime))
         if board:
-            return [node, watch, board.watch(node)]
+            return [node, watch, board.watch(node), *more]
         if not reload.wanted():
-            return [node, watch]
+            return [node, watch, *more]
         report = reload.reporter(bus, Keys(config.swarm), robot)
         laws = reload.LawReloader(
             runtime, reload.RobotsOf(node), lambda: registry.loaded(registry.BEHAVIOUR_GROUP), report
         )
-        return [node, watch, laws, reload.RecordReloader(runtime, read_records_again, report)]
+        return [node, watch, laws, reload.RecordReloader(runtime, read_records_again, report), *more]
 
     return serve_on_bus(config, with_parent, build, robot)
 

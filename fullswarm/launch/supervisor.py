@@ -54,6 +54,8 @@ LOG_BYTES = 4 * 2**20
 LOGS_S = 1.0
 FROZEN: Literal["frozen"] = "frozen"
 CONSOLE = "console"
+FIXES = "fixes"
+"""The process that publishes the poses of the fleet file's sources."""
 STORE = "core.db"
 """The core's local database, where the fleet file names none: it lasts as long as the supervisor."""
 USAGE = 2
@@ -140,6 +142,10 @@ class Supervisor:
         self.add("centralised", "centralised", *file)
         if self.world and any(each.simulated for each in self.config.robot):
             self.add("world", "sim", *file, *network)
+        if self.config.fixes:
+            self.add(FIXES, "fixes", *file)
+        for camera in self.config.camera:
+            self.add(f"camera-{camera.name}", "track", "run", str(fleet), "--camera", camera.name, *network)
         for each in self.config.robot:
             if not each.elsewhere:  # a second agent of its name would be on the bus, with another robot's port
                 self.add(each.id, "agent", each.id, *file)

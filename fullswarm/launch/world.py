@@ -3,13 +3,15 @@
 Simulated robots have a UDP port (`WorldServer`), emulated ones (``emulate = "create2"``) a port of their make: their
 agents open it with the make's own driver. Real robots of the fleet file are bodies, too, where they report to be
 (``simulation/ghosts.py``). Like any supervisory process with cameras, the world also sends emulated
-robots their poses: `PoseFix` on the bus.
+robots their poses: `PoseFix` on the bus, unless the fleet file has a camera that renders this world.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -17,13 +19,15 @@ import numpy as np
 from fullswarm import kernels, registry
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
+from fullswarm.config.docks import slots_of
+from fullswarm.drivers.base import Pose
 from fullswarm.drivers.fleet_file import in_frame
 from fullswarm.drivers.make import Emulator, emulated_as, emulation_part
 from fullswarm.errors import ConfigError, FullswarmError
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
 from fullswarm.launch.network import emulated_url, port_folder
-from fullswarm.messages import Heartbeat, PoseFix, RobotStates, WorldHold
+from fullswarm.messages import Heartbeat, PoseFix, RobotStates, TruePoses, WorldHold
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.truth import SupervisorCalculator, Truth
 from fullswarm.runtime import Scheduler
@@ -36,6 +40,8 @@ from fullswarm.simulation.world import World
 HEARTBEAT_S = 0.5
 FIX_HZ = 20.0
 MOST_AT_ONCE = 20
+FILMED = "world:"
+"""Source of a camera that renders this world."""
 HELD_S = 2.0
 """A hold that is not repeated for this long is over: a study whose console has failed does not hold the world."""
 LEAST_SIGMA_M, LEAST_SIGMA_RAD = 0.002, 0.002
@@ -96,7 +102,9 @@ class WorldNode:
         real = tuple(each.id for each in config.robot if not each.simulated)
         simulated = [each for each in config.robot if each.simulated]
         settings = with_ghosts(settings, {robot: _radius_m(config, robot) for robot in real})
-        self.world = World(settings, [each.id for each in simulated], nodes.start_poses(config, simulated))
+        self.world = World(
+            settings, [each.id for each in simulated], nodes.start_poses(config, simulated), slots_of(config)
+        )
         self._ghosts = Ghosts(self.world.movers, real) if real else None
         self._server = WorldServer(self.world, settings.address, insecure_network=insecure_network)
         self.bodies = SteppedBodies(self.world, [each.id for each in skins])
@@ -105,7 +113,9 @@ class WorldNode:
             for robot in skins:
                 if robot.emulate is not None:
                     url = emulated_url(config, robot)
-                    self.emulators[robot.id] = start_emulator(robot.emulate, url, self.bodies.of[robot.id])
+                    emulator = start_emulator(robot.emulate, url, self.bodies.of[robot.id])
+                    self.emulators[robot.id] = emulator
+                    _equip(emulator, config, self.world, robot.id)
         except BaseException:
             self._end()
             raise
@@ -122,7 +132,11 @@ class WorldNode:
         self._subscriptions = [bus.subscribe(self._keys.world_hold, WorldHold, self._on_hold)]
         if real:
             self._subscriptions.append(bus.subscribe(self._keys.state(), RobotStates, self._on_states))
-        if skins:
+        filmed = [each for each in config.camera if each.source.startswith(FILMED)]
+        if filmed:  # a simulated camera measures the poses: emulated robots have no other, as real ones
+            rate_hz = max(each.rate_hz for each in filmed)
+            self._timers.append(scheduler.every(1.0 / rate_hz, self._send_true_poses))
+        elif skins:
             self._timers.append(scheduler.every(1.0 / FIX_HZ, self._send_fixes))
 
     def _run(self) -> None:
@@ -181,6 +195,8 @@ class WorldNode:
         self._bus.publish(self._keys.heartbeat("world"), beat)
 
     def _send_fixes(self) -> None:
+        if not self.world.config.sight.pose:
+            return
         now_s = self._scheduler.now_s()
         for robot in self.bodies.of:
             row = self.world.row(robot)
@@ -199,6 +215,16 @@ class WorldNode:
             self._bus.publish(self._keys.pose_fix(robot), fix)
         self._touched[:] = 0
 
+    def _send_true_poses(self) -> None:
+        world = self.world
+        x_m, y_m, heading_rad = world.pose[: len(world.ids)].T.tolist()
+        speed_m_s, turn_rad_s = world.twist[: len(world.ids)].T.tolist()
+        message = TruePoses(
+            robots=tuple(world.ids), x_m=tuple(x_m), y_m=tuple(y_m), heading_rad=tuple(heading_rad),
+            speed_m_s=tuple(speed_m_s), turn_rad_s=tuple(turn_rad_s), stamp_s=self._scheduler.now_s(),
+        )  # fmt: skip
+        self._bus.publish(self._keys.true_poses, message)
+
     def close(self) -> None:
         """Switch off the emulated robots, give up all ports, let go of the physics."""
         for timer in self._timers:
@@ -214,6 +240,24 @@ class WorldNode:
             emulator.close()
         self._server.close()
         self.world.close()
+
+
+@runtime_checkable
+class _HasBases(Protocol):
+    def set_bases(self, bases: Sequence[Pose]) -> None: ...
+
+
+@runtime_checkable
+class _HasBattery(Protocol):
+    def set_battery(self, fraction: float) -> None: ...
+
+
+def _equip(emulator: Emulator, config: SwarmConfig, world: World, robot: str) -> None:
+    """Give an emulated robot the docks of the fleet file as its Home Bases, and a charge at first."""
+    if isinstance(emulator, _HasBases) and config.dock:
+        emulator.set_bases([Pose(slot.x_m, slot.y_m, slot.heading_rad) for slot in slots_of(config)])
+    if isinstance(emulator, _HasBattery) and world.batteries is not None:
+        emulator.set_battery(float(world.batteries.charge[world.row(robot)]))
 
 
 def _radius_m(config: SwarmConfig, robot: str) -> float:

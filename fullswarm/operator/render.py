@@ -7,8 +7,8 @@ import math
 from rich.markup import escape
 from rich.table import Table
 
-from fullswarm.messages import Summary
-from fullswarm.operator.robot_state import row_state
+from fullswarm.messages import DockState, Summary
+from fullswarm.operator.robot_state import pose_text, row_state
 from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot, memory_text, natural
 from fullswarm.units import UNITS
 
@@ -63,6 +63,13 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
     return table
 
 
+def dock_text(dock: DockState) -> str:
+    """Return one slot of a dock in a few words."""
+    if dock.phase in ("failed", "blocked"):
+        return f"{dock.dock} {dock.phase.upper()}: {dock.reason}"
+    return f"{dock.dock} free" if dock.phase == "free" else f"{dock.dock} {dock.robot} {dock.phase}"
+
+
 def footer_lines(snapshot: Snapshot) -> list[str]:
     """Return what concerns the whole swarm: processes, missing or silent robots, the newest request, summaries."""
     lines = [row.text for row in snapshot.processes if row.text]
@@ -70,9 +77,16 @@ def footer_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"MISSING, never reported: {_names(snapshot.missing)}")
     if snapshot.silent:
         lines.append(f"SILENT, no longer reporting: {_names(snapshot.silent)}")
+    if snapshot.docks:
+        lines.append(f"docks: {', '.join(dock_text(each) for each in snapshot.docks)}")
+    if snapshot.waiting:
+        lines.append(f"WAITING for a dock: {_names(snapshot.waiting)}")
     lines += _clock_lines(snapshot)
     if len(snapshot.robots) <= _MEMORIES_SHOWN:
         lines += [f"{row.robot} remembers {text}" for row in snapshot.robots if (text := memory_text(row.memory))]
+        lines += [
+            f"{row.robot} pose by {text}" for row in snapshot.robots if row.health and (text := pose_text(row.health))
+        ]
         lines += [
             f"{row.robot}: {', '.join(f'{name} {value}' for name, value in row.actuators.items())}"
             for row in snapshot.robots

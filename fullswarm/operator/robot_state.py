@@ -10,10 +10,12 @@ from dataclasses import dataclass
 
 from fullswarm.messages import RobotHealth
 from fullswarm.operator.view import RobotRow
-from fullswarm.reasons import DELIBERATE, Code
+from fullswarm.reasons import CHARGES, DELIBERATE, Code
 
 STANDSTILL_M_S = 0.005
 LOW_BATTERY = 0.2
+FULL = 0.95
+_CHARGES_NOT: dict[str, str] = {Code.CHARGE_WAITS: "WAITING", Code.DOCKED: "NOT CHARGED"}
 UNKNOWN = "Follow its driver's message; if that names no cause, see the robot's log."
 PREVENTED = "It is connected, but prevents motion: remove the reported cause, then request again."
 
@@ -36,6 +38,8 @@ _STOPS: dict[str, str] = _CAUSES | {
     Code.POSE: "Check that pose fixes arrive for this robot, and that its cameras or the motion capture see it.",
     Code.NO_WAY: "Widen the way, lower the behaviour's safety_margin_m, or give it another goal.",
     Code.GOAL_CLOSED: "Give it a goal farther from the obstacle, or a larger arrive_radius_m.",
+    Code.CHARGE_WAITS: "See `fullswarm docks`: free a dock that is blocked or has failed, or add one.",
+    Code.DOCKED: "Check the dock's power and its contacts; the core sends the robot to another dock by itself.",
     Code.GEOFENCE: "Drive it back by hand, or give it a goal inside the arena.",
 }
 
@@ -54,6 +58,9 @@ class RowState:
         return f"{self.word}: {self.why}" if self.why else self.word
 
 
+_DOUBTS = frozenset({Code.POSE, Code.UNSURE})
+
+
 def row_state(row: RobotRow) -> RowState:
     """Return what a robot is doing."""
     health = row.health
@@ -70,11 +77,16 @@ def row_state(row: RobotRow) -> RowState:
         # Health comes twice a second, states twenty times: a robot at standstill must not be shown as moving.
         rolls = health.moving and not abs(row.speed_m_s) < STANDSTILL_M_S
         return RowState("E-STOP, still rolling" if rolls else "E-STOP", attention=True)
+    if health.stop_code in CHARGES:
+        # A robot that waits for a dock, or is in one that does not charge, may need help; the others do as planned.
+        problem = _CHARGES_NOT.get(health.stop_code, "") if health.battery < FULL else ""
+        return RowState(problem or "away", health.stop_reason, attention=bool(problem))
     alarm = health.behaviour or health.stop_code not in DELIBERATE
     settled = health.stop_code == Code.SETTLED
     arrived = health.stop_code == Code.ARRIVED and not health.behaviour
     if health.stop_reason and health.stop_code != Code.EXPIRED and alarm and not settled:
-        return RowState("STOPPED", health.stop_reason, attention=True)
+        doubt = f": {health.pose_note}" if health.pose_note and health.stop_code in _DOUBTS else ""
+        return RowState("STOPPED", health.stop_reason + doubt, attention=True)
     doing = "moving" if health.moving else "settled" if settled else "arrived" if arrived else "standing"
     if health.lifecycle not in ("READY", "ACTIVE"):
         doing = f"{health.lifecycle.lower()}, not ready"
@@ -84,7 +96,28 @@ def row_state(row: RobotRow) -> RowState:
         return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
     if health.message_note:
         return RowState(doing, health.message_note, attention=True)
+    if health.pose_note:
+        return RowState(doing, health.pose_note, attention=True)
     return RowState(doing, health.stop_reason if doing in ("settled", "arrived") else "")
+
+
+def pose_text(health: RobotHealth) -> str:
+    """Return in words which sources of fixes a robot uses and how well they fit; empty when none comes."""
+    return ", ".join(
+        " ".join(
+            filter(
+                None,
+                (
+                    each.sensor,
+                    f"({each.marker})" if each.marker else "",
+                    "" if each.used else "not used:",
+                    "" if each.used else each.refused or f"silent for {each.age_s:.1f} s",
+                    f"{each.residual_m:.3f} m off" if each.residual_m >= 0.0 else "",
+                ),
+            )
+        )
+        for each in health.pose_sources
+    )
 
 
 def advise(row: RobotRow) -> str:
@@ -106,6 +139,8 @@ def _of(health: RobotHealth) -> str:
         return "Check that its surroundings are free, then clear the e-stop."
     if health.stop_code == Code.SETTLED:
         return "Nothing, if that is near enough; else give it another goal, or make room."
+    if health.stop_code in CHARGES and health.stop_code not in _CHARGES_NOT:
+        return ""
     if health.stop_reason and (known := _on_stop(health)):
         return known
     if 0.0 <= health.battery < LOW_BATTERY:

@@ -63,6 +63,8 @@ REMEMBERED = 1024
 CORE_S = 1.0
 CHECK_S = 0.01
 """What is waited for is checked this often."""
+RELEASE_S = 1.0
+"""A core that does not report a release within this time is not waited for: the lease ends without being renewed."""
 ASK_S = 2.0
 """While the end of a request is waited for, its status is asked for this often: it may have come without a hub."""
 IDLE_S = 1.0
@@ -612,16 +614,26 @@ class Client:
 
         return self.until(ready, ANSWER_S, late)
 
-    def release(self, held: Held) -> Future[None]:
-        """Release what no other lease of this program holds."""
+    def release(self, held: Held) -> Future[bool]:
+        """Release what no other lease of this program holds, and wait until the core has reported it.
 
-        def act() -> None:
-            if held in self._leases:
-                self._leases.remove(held)
-            kept = {robot for each in self._leases for robot in each.robots}
-            self._release(tuple(robot for robot in held.robots if robot not in kept))
+        What another operator requests after this is not refused. A core that is silent for `RELEASE_S` fails it; a
+        lease that is not renewed then ends by itself.
+        """
+        begun = False
 
-        return self.call(act)
+        def ready() -> bool | None:
+            nonlocal begun
+            kept = {robot for each in self._leases if each is not held for robot in each.robots}
+            robots = tuple(robot for robot in held.robots if robot not in kept)
+            if not begun:
+                begun = True
+                if held in self._leases:
+                    self._leases.remove(held)
+                self._release(robots)
+            return True if set(robots).isdisjoint(self._holder.held()) else None
+
+        return self.until(ready, RELEASE_S, self._no_core)
 
     def _release(self, robots: tuple[str, ...]) -> None:
         if robots:
@@ -971,7 +983,7 @@ class Swarm:
         try:
             yield held
         finally:
-            with suppress(FullswarmError):  # it was closed inside
+            with suppress(FullswarmError):  # it was closed inside, or the core is silent
                 _wait(self._client.release(held))
 
 

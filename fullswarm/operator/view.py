@@ -13,6 +13,8 @@ from fullswarm.keys import Keys
 from fullswarm.messages import (
     ActuatorReport,
     BehaviourMemory,
+    ChargingStatus,
+    DockState,
     HealthReport,
     Heartbeat,
     Lease,
@@ -34,6 +36,8 @@ from fullswarm.runtime import Scheduler
 SILENT_S = 1.0
 """Two health reports and all states between them: the robot, its link or its hub is lost."""
 
+CHARGING_S = 6.0
+"""Docks of an older status are not shown: three in a row were lost, or the core is not there."""
 LEASES_S = 3.0
 """The core reports them each second; older ones may have expired."""
 
@@ -133,6 +137,8 @@ class Snapshot:
     request: RequestStatus | None = None  # the newest of all requests
     missing: tuple[str, ...] = ()  # expected or addressed, but never received
     leases: tuple[Lease, ...] = ()
+    docks: tuple[DockState, ...] = ()  # none: the fleet file has none, or no core is there
+    waiting: tuple[str, ...] = ()  # robots that wait for a dock, the next one first
     processes: tuple[ProcessRow, ...] = ()  # of supervisors that report; robots' own computers have none
 
     @property
@@ -168,6 +174,8 @@ class Snapshot:
             ],
             "summaries": {each.metric: msgspec.to_builtins(each) for each in self.summaries},
             "request": msgspec.to_builtins(self.request),
+            "docks": [msgspec.to_builtins(each) for each in self.docks],
+            "waiting_for_docks": list(self.waiting),
             "missing": list(self.missing),
             "silent": list(self.silent),
         }
@@ -200,6 +208,7 @@ class FleetView:
         self._request: RequestStatus | None = None
         self._leases: tuple[float, tuple[Lease, ...]] = (-math.inf, ())
         self._processes: dict[str, tuple[float, ProcessReport]] = {}  # by host
+        self._charging: tuple[float, ChargingStatus] | None = None
         self._subscriptions = [
             bus.subscribe(keys.health(), HealthReport, self._on_health),
             bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True),
@@ -210,6 +219,7 @@ class FleetView:
             bus.subscribe(keys.summary(), Summary, self._on_summary, latest=True),
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
             bus.subscribe(keys.leases, Leases, self._on_leases, latest=True),
+            bus.subscribe(keys.charging_status, ChargingStatus, self._on_charging, latest=True),
             bus.subscribe(keys.processes(), ProcessReport, self._on_processes, latest=True),
         ]
 
@@ -236,6 +246,7 @@ class FleetView:
         """Return the swarm as it is known now."""
         now_s = self._scheduler.now_s()
         received = self.robots()
+        charging = self._charging[1] if self._charging and now_s - self._charging[0] <= CHARGING_S else None
         addressed = self._request.missing if self._request is not None else ()
         return Snapshot(
             swarm=self._keys.swarm,
@@ -249,6 +260,8 @@ class FleetView:
             request=self._request,
             missing=tuple(sorted({*self._expected, *addressed}.difference(received))),
             leases=self._leases[1] if now_s - self._leases[0] <= LEASES_S else (),
+            docks=() if charging is None else charging.docks,
+            waiting=() if charging is None else charging.waiting,
             processes=tuple(
                 ProcessRow(host, now_s - arrived_s, state)
                 for host, (arrived_s, report) in sorted(self._processes.items())
@@ -348,6 +361,9 @@ class FleetView:
     def _on_processes(self, message: ProcessReport) -> None:
         if self._hosts.admit(message.host, self._scheduler.now_s()):
             self._processes[message.host] = self._scheduler.now_s(), message
+
+    def _on_charging(self, status: ChargingStatus) -> None:
+        self._charging = self._scheduler.now_s(), status
 
     def _on_leases(self, message: Leases) -> None:
         self._leases = self._scheduler.now_s(), message.leases

@@ -111,6 +111,14 @@ class RehearsedFleet:
         """Do nothing: it senses its pose."""
         self._inner.locate(row, pose, position_sigma_m, heading_sigma_rad)
 
+    def seek_dock(self, row: int) -> bool:
+        """Return what the body's fleet says."""
+        return self._inner.seek_dock(row)
+
+    def docked(self, row: int) -> bool:
+        """Tell whether the body stands in a slot of a dock."""
+        return self._inner.docked(row)
+
     def actuate(self, row: int, name: str, value: object) -> None:
         """Bring an actuator into a state."""
         self._inner.actuate(row, name, value)

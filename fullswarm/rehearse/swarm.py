@@ -13,6 +13,7 @@ from fullswarm.agent.state import Identity
 from fullswarm.bus.base import CENTRALISED, CORE
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
+from fullswarm.config.docks import slots_of
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
 from fullswarm.messages import Message
@@ -68,7 +69,7 @@ class RehearsedSwarm:
         self.keys = Keys(config.swarm)
         settings = config.world_or_default.model_copy(update={"seed": self._chance("world").randrange(2**31)})
         self.config = config = config.model_copy(update={"world": settings})
-        self.world = World(settings, config.robots, nodes.start_poses(config))
+        self.world = World(settings, config.robots, nodes.start_poses(config), slots_of(config))
         self.network = Network(simulation, self._chance("network"), self._handled, self._published)
         self.judge = Judge(config.robots, simulation.now_s, self._hub_gone_s)
         origins = self._chance("clocks")

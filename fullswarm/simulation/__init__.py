@@ -15,7 +15,10 @@ drives in it has the driver of ``drivers/sim/`` (or, emulated, the one of its ma
 ``obstacles.py``        Boxes and walls as rows of numbers, and the distance of a point to one
 ``movers.py``           Bodies that no agent commands, on their way from waypoint to waypoint
 ``ghosts.py``           Real robots as bodies of the world, where they report to be
+``batteries.py``        The bodies' batteries, and the docks that charge them
 ``sight.py``            Which other bodies a robot sees, and what hides them
+``ranges.py``           What a range sensor measures: rays against boxes, walls, movers and robots
+``pictures.py``         Renders what a camera above sees of flat things, with lens, blur, noise, glare and known truth
 ``starts.py``           Start poses: a spaced grid for robots without one, and a check of all
 
 Three interfaces of a world:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.drivers.base import FleetReading, Lifecycle, Pose
+from fullswarm.drivers.base import FleetReading, Lifecycle, Pose, RangeScan
 from fullswarm.kernels import Array, kernel
 from fullswarm.simulation.world import World, sense
 
@@ -68,8 +68,10 @@ class SimFleet:
         self.ids = world.ids[rows]
         n = len(self.ids)
         self.urls = tuple(f"sim://{robot}" for robot in self.ids)
-        sees_m = float(sensing_radius_m) if world.config.sight.bodies else 0.0
-        self.descriptions = tuple(replace(each, bodies_range_m=sees_m) for each in world.descriptions[rows])
+        self.descriptions = tuple(
+            replace(each, bodies_range_m=float(sensing_radius_m) if each.bodies_range_m > 0.0 else 0.0)
+            for each in world.descriptions[rows]
+        )
         self._row = row
         self._world, self._now_s, self._sensing_radius_m = world, now_s, float(sensing_radius_m)
         # Views: the world's arrays are the same objects for its life.
@@ -79,6 +81,12 @@ class SimFleet:
         self._active = np.zeros(n, np.bool_)
         self._applied = np.zeros((n, 2))
         self._seen = np.zeros(len(world.obstacles), np.bool_)
+        # Which robots see obstacles as such, and which measure ranges: how often, and when next.
+        whole = range(len(world.ids)) if row is None else (row,)
+        self._eyes = np.array([place for place, body in enumerate(whole) if world.sensors[body] is None], np.int64)
+        self._scanning = [(place, body) for place, body in enumerate(whole) if world.sensors[body] is not None]
+        self._scan_due_s = dict.fromkeys((place for place, _ in self._scanning), -math.inf)
+        self._scans: dict[int, RangeScan] = {}
         self._reading = FleetReading(
             stamp_s=np.full(n, -np.inf),
             pose=world.sensed_pose[rows],
@@ -86,9 +94,10 @@ class SimFleet:
             twist=world.twist[rows],
             hazards=world.hazards[rows],
             contacts=world.contacts[rows],
-            battery=np.full(n, -1.0),
+            battery=np.full(n, -1.0) if world.batteries is None else world.batteries.charge[rows],
             obstacles=world.obstacles[self._seen],
             position_sigma_m=np.full(n, np.nan),
+            charging=None if world.batteries is None else world.batteries.charging[rows].view(np.int8),
         )
 
     def open(self) -> None:
@@ -100,11 +109,33 @@ class SimFleet:
         reading, world = self._reading, self._world
         if self._open:
             reading.stamp_s.fill(self._now_s())
-            if len(self._seen) and sense.run(self._pose, world.shapes, self._sensing_radius_m, self._seen):
+            eyes = self._pose if not self._scanning else self._pose[self._eyes]
+            if len(self._seen) and sense.run(eyes, world.shapes, self._sensing_radius_m, self._seen):
                 reading.obstacles = world.obstacles[self._seen]
+            if self._scanning:
+                self._scan()
             if self._row is not None or len(world.movers):
                 reading.bodies = world.seen_bodies(self._row, self._sensing_radius_m)
         return reading
+
+    def _scan(self) -> None:
+        """Take a scan of each sensor that is due."""
+        now_s, news = self._now_s(), False
+        for place, body in self._scanning:
+            sensor = self._world.sensors[body]
+            if sensor is None or now_s < self._scan_due_s[place] - 1e-6:
+                continue
+            self._scan_due_s[place] = now_s + 1.0 / sensor.settings.rate_hz
+            distances_m = self._world.scan(body)
+            if distances_m is None:
+                continue
+            settings, news = sensor.settings, True
+            self._scans[place] = RangeScan(
+                stamp_s=now_s, angles_rad=sensor.angles_rad, distances_m=distances_m, max_m=settings.max_m,
+                mount=Pose(settings.x_m, settings.y_m, settings.yaw_rad), sigma_m=settings.sigma_m,
+            )  # fmt: skip
+        if news:
+            self._reading.ranges = tuple(self._scans.items())
 
     def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:
         """Set set-points; return what was applied, (n, 2), in an array that the next call reuses.
@@ -145,6 +176,16 @@ class SimFleet:
 
     def locate(self, row: int, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
         """Do nothing: these robots sense their pose."""
+
+    def seek_dock(self, row: int) -> bool:
+        """Return False: a simulated body has no such sense."""
+        del row
+        return False
+
+    def docked(self, row: int) -> bool:
+        """Tell whether a body stands in a slot of a dock."""
+        batteries = self._world.batteries
+        return batteries is not None and bool(batteries.slot[row if self._row is None else self._row] >= 0)
 
     def actuate(self, row: int, name: str, value: object) -> None:
         """Bring an actuator of a body into a state."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import math
 import secrets
 import socket
 import threading
@@ -72,6 +73,7 @@ class WorldServer:
         self._peers: dict[str, _Peer] = {}
         self._lock = threading.Lock()
         self._closing = False
+        self._scans: dict[int, protocol.Scan] = {}  # by row
         self._held_s = 0.0  # time for which the world was held still
         self._socket = _bind(address or world.config.address, insecure_network)
         self._thread = threading.Thread(target=self._receive, name="world-link", daemon=True)
@@ -185,10 +187,10 @@ class WorldServer:
 
     def _reading(self, robot: str, peer: _Peer, held: bool) -> protocol.BodyReading:
         world, row = self.world, self.world.rows[robot]
-        x, y, heading = world.sensed_pose[row].tolist()
+        x, y, heading = (world.sensed_pose if world.config.sight.pose else world.pose)[row].tolist()
         odometry_x, odometry_y, odometry_heading = world.odometry[row].tolist()
         v, w = (0.0, 0.0) if held else world.twist[row].tolist()
-        seen = world.seen_bodies(row, peer.sensing_m)
+        seen, batteries = world.seen_bodies(row, peer.sensing_m), world.batteries
         return protocol.BodyReading(
             robot=robot,
             session=peer.session,
@@ -200,7 +202,29 @@ class WorldServer:
             hazards=int(world.hazards[row]),
             obstacles=protocol.pack_rows(world.sensed_obstacles(row, peer.sensing_m)),
             bodies=None if seen is None else protocol.pack_rows(seen),
+            scan=self._scan(row),
+            senses_pose=world.config.sight.pose,
+            battery=None if batteries is None else float(batteries.charge[row]),
+            charging=None if batteries is None else bool(batteries.charging[row]),
         )
+
+    def _scan(self, row: int) -> protocol.Scan | None:
+        """Return the newest scan of a body, a new one if it is due."""
+        world, sensor = self.world, self.world.sensors[row]
+        if sensor is None:
+            return None
+        settings, scan = sensor.settings, self._scans.get(row)
+        number = math.floor((world.time_s + self._held_s) * settings.rate_hz + 1e-6)
+        if scan is None or number > scan.number:
+            distances_m, angles_rad = world.scan(row), sensor.angles_rad
+            if distances_m is None:
+                return None
+            step_rad = float(angles_rad[1] - angles_rad[0]) if len(angles_rad) > 1 else 0.0
+            scan = self._scans[row] = protocol.Scan(
+                number, protocol.pack_rows(distances_m), float(angles_rad[0]), step_rad, settings.max_m,
+                (settings.x_m, settings.y_m, settings.yaw_rad), settings.sigma_m,
+            )  # fmt: skip
+        return scan
 
     def close(self) -> None:
         """Release the port and end the thread. Closing twice is fine."""

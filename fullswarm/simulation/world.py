@@ -14,14 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
+from fullswarm.config.docks import Slot
 from fullswarm.drivers.actuators import ActuatorValue, checked
 from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.drivers.sim.settings import describe
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.kernels import Array, kernel
+from fullswarm.simulation.batteries import Batteries
 from fullswarm.simulation.engine import make_engine
 from fullswarm.simulation.movers import Movers
 from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles
+from fullswarm.simulation.ranges import SimulatedSensor
 from fullswarm.simulation.sight import look
 from fullswarm.simulation.starts import fill_starts
 
@@ -30,6 +33,10 @@ BUMP_BIT = int(Hazard.BUMP)  # as a number that a compiled kernel can hold
 
 class World:
     """n bodies in one arena. All arrays are the same objects for the world's life; do not write to them.
+
+    Parameters
+    ----------
+    slots : where bodies with batteries are charged
 
     Attributes
     ----------
@@ -46,6 +53,8 @@ class World:
     obstacles : (k, 6) all boxes, then the walls, rows as in ``Reading.obstacles``
     shapes : (k + m, 8) the same with trigonometry, then the movers where they are
     actuators : of each body, the state of each actuator by name
+    sensors : of each body, its range sensor; None: it has none
+    batteries : of the bodies; None: they have none
     movers : bodies that no robot's agent commands
     watchers : called after each step
 
@@ -62,6 +71,7 @@ class World:
         config: WorldConfig,
         ids: Sequence[str],
         starts: Sequence[Sequence[float] | None] | Array | None = None,
+        slots: Sequence[Slot] = (),
     ) -> None:
         n = len(ids)
         self.config, self.ids = config, tuple(ids)
@@ -93,8 +103,18 @@ class World:
         self._discs = np.zeros((n + len(self.movers), 3))
         self._discs[:n, 2], self._discs[n:] = self.radius_m, self.movers.bodies()
         self._sight_rng = np.random.default_rng((config.seed, 1))
+        self.sensors = tuple(
+            None
+            if body.ranges is None
+            else SimulatedSensor(body.ranges, row, np.random.default_rng((config.seed, 2, row)))
+            for row, body in enumerate(self.bodies)
+        )
+        scale = config.noise.odometry
+        drawn = np.random.default_rng((config.seed, 3)).normal(1.0, scale, (n, 2))
+        self._odometry_scale = np.clip(drawn, 1.0 - 2.0 * scale, 1.0 + 2.0 * scale) if scale > 0.0 else None
         self._rng = np.random.default_rng(config.seed)
         self._sigma = np.array([config.noise.position_m, config.noise.position_m, config.noise.heading_rad])
+        self.batteries = None if config.battery is None else Batteries(config, n, slots)
         self._steps = 0
         self._touching = False
         self.watchers: list[Callable[[], None]] = []
@@ -138,6 +158,8 @@ class World:
 
     def step(self) -> None:
         """Advance by one world step."""
+        if self.batteries is not None:
+            self.batteries.hold_flat(self.target)
         ramp.run(
             self.target,
             self.commanded_s,
@@ -152,7 +174,10 @@ class World:
             self.engine.place_movers(self.movers.place)
         self.engine.step(self.drive)
         self._steps += 1
-        dead_reckon.run(self.odometry, self.twist, self.dt_s)
+        rolled = self.twist if self._odometry_scale is None else self.twist * self._odometry_scale
+        dead_reckon.run(self.odometry, rolled, self.dt_s)
+        if self.batteries is not None:
+            self.batteries.step(self.pose, self.twist, self.dt_s)
         pairs = self.referee.pairs
         touching = len(pairs) > 0
         if touching or self._touching:
@@ -166,14 +191,28 @@ class World:
         if self.sensed_pose is self.pose:
             return
         sensed = self.sensed_pose
+        if not self.config.sight.pose:
+            sensed.fill(math.nan)
+            return
         self._rng.standard_normal(out=sensed)
         sensed *= self._sigma
         sensed += self.pose
         sensed[:, 2] -= np.round(sensed[:, 2] / (2 * math.pi)) * (2 * math.pi)
 
+    def scan(self, row: int) -> Array | None:
+        """Return the distances (k,) m that the range sensor of a body measures now; None: it has none."""
+        sensor = self.sensors[row]
+        if sensor is None:
+            return None
+        n = len(self.ids)
+        self._discs[:n, :2] = self.pose[:, :2]
+        return sensor.scan(self.pose[row], self._discs, n, self.shapes)
+
     def sensed_obstacles(self, row: int, radius_m: float) -> Array:
-        """Return the obstacles (k, 6) whose surface is within `radius_m` of a body's centre."""
+        """Return the obstacles (k, 6) whose surface is within `radius_m` of a body's centre; none with ranges."""
         seen = np.zeros(len(self.obstacles), np.bool_)
+        if self.sensors[row] is not None:
+            return self.obstacles[seen]
         sense(self.pose[row : row + 1], self.shapes, radius_m, seen)
         return self.obstacles[seen]
 
@@ -183,7 +222,7 @@ class World:
         A fleet that carries all robots knows where they are without seeing them. Returns None if robots see no bodies.
         """
         sight, n = self.config.sight, len(self.ids)
-        if not sight.bodies:
+        if not sight.bodies or (row is not None and self.sensors[row] is not None):
             return None
         bodies = self._discs
         bodies[:n, :2], bodies[n:, :2] = self.pose[:, :2], self.movers.place
@@ -191,7 +230,9 @@ class World:
         if row is None:
             marks = np.zeros(len(bodies), np.bool_)
             for eye, (x, y, _) in enumerate(self.pose.tolist()):
-                if look.run(x, y, eye, bodies, self.shapes, len(self.obstacles), range_m, marks):
+                if self.sensors[eye] is None and look.run(
+                    x, y, eye, bodies, self.shapes, len(self.obstacles), range_m, marks
+                ):
                     seen |= marks
             seen[:n] = False
         else:
@@ -215,7 +256,7 @@ def body_limits(body: WorldConfig) -> tuple[float, float, float, float]:
 
 
 def _perfect(config: WorldConfig) -> bool:
-    return config.noise.position_m == 0.0 and config.noise.heading_rad == 0.0
+    return config.noise.position_m == 0.0 and config.noise.heading_rad == 0.0 and config.sight.pose
 
 
 @kernel

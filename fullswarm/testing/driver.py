@@ -524,6 +524,7 @@ CLAIMS = (
     "senses_bumps",
     "senses_pose",
     "senses_obstacles",
+    "ranges",
 )
 TRUE = 0.25
 """Share by which the true speed may differ from the measured one."""
@@ -559,6 +560,10 @@ def check_claims(trial: Trial) -> None:
         report.add("senses_obstacles", "not claimed, and never reported")
     elif not report.lacks("senses_obstacles", obstacle=rig.obstacle):
         report.add("senses_obstacles", _check_obstacles(trial))
+    if not description.ranges_max_m > 0.0:
+        report.add("ranges", "not claimed, and never reported")
+    else:
+        report.add("ranges", _check_ranges(trial))
 
 
 def _check_truth(trial: Trial) -> str:
@@ -733,6 +738,16 @@ def _check_pose(trial: Trial) -> str:
         "counter-clockwise",
     )
     return f"{off_m * 1e3:.0f} mm, {math.degrees(off_rad):.1f} deg from the true pose"
+
+
+def _check_ranges(trial: Trial) -> str:
+    """Scans come, each newer than the one before."""
+    seen = trial.wait(lambda: trial.newest is not None and bool(trial.newest.ranges), NEXT_S)
+    trial.demand(seen, f"its description claims ranges, but no scan is reported within {NEXT_S} s")
+    first = trial.newest.ranges[0].stamp_s if trial.newest is not None else 0.0
+    newer = trial.wait(lambda: trial.newest is not None and trial.newest.ranges[0].stamp_s > first, NEXT_S)
+    trial.demand(newer, f"its scan is not followed by a newer one within {NEXT_S} s")
+    return "reported"
 
 
 def _check_obstacles(trial: Trial) -> str:

@@ -10,9 +10,22 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from fullswarm import registry
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.base import STAND, Description, Driver, Hazard, Lifecycle, Limits, Pose, Reading, Twist
+from fullswarm.drivers.base import (
+    STAND,
+    Description,
+    Driver,
+    Hazard,
+    Lifecycle,
+    Limits,
+    Pose,
+    RangeScan,
+    Reading,
+    Twist,
+)
 from fullswarm.drivers.make import Place, emulated_as, emulation_part
 from fullswarm.emulators.base import Emulator
 from fullswarm.errors import ConfigError
@@ -102,7 +115,7 @@ def emulator_rig(
         garbage=link.garbage,
         cut=link.cut,
         bump=(lambda pressed: body.press(pressed, pressed)) if isinstance(body, FreeBody) else None,
-        motors_on=lambda: robot.motors_on,
+        motors_on=None if robot.motors_on is None else lambda: bool(robot.motors_on),
         other_process=True,
         fault_s=fault_s,
     )
@@ -233,6 +246,27 @@ def _wrong_senses(reading: Reading, description: Description) -> Iterator[str]:
     for what, reports, claims in zip(("pose", "obstacles", "bumps"), reported, senses, strict=True):
         if reports and not claims:
             yield f"it reports {what}, but its description denies it; set senses_{what}"
+    if reading.ranges and not description.ranges_max_m > 0.0:
+        yield "it reports ranges, but its description denies it; set ranges_max_m"
+    for scan in reading.ranges:
+        yield from _wrong_scan(scan, reading)
+
+
+def _wrong_scan(scan: RangeScan, reading: Reading) -> Iterator[str]:
+    angles_rad, distances_m, what = scan.angles_rad, scan.distances_m, f"the scan '{scan.name}'"
+    if angles_rad.ndim != 1 or distances_m.shape != angles_rad.shape:
+        yield f"{what} has angles of shape {angles_rad.shape} and distances of {distances_m.shape}, not (k,) each"
+        return
+    if not np.isfinite(angles_rad).all():
+        yield f"{what} has an angle that is not finite"
+    if (
+        not scan.max_m > 0.0
+        or (distances_m < 0.0).any()
+        or (np.isfinite(distances_m) & (distances_m > scan.max_m)).any()
+    ):
+        yield f"{what} has a distance that is not infinite, NaN or 0 to max_m = {scan.max_m}"
+    if not reading.stamp_s - AGE_S <= scan.stamp_s <= reading.stamp_s + EARLY_S:
+        yield f"{what} was measured {reading.stamp_s - scan.stamp_s:.2f} s before the reading"
 
 
 def _leap(before: Reading, after: Reading, limits: Limits) -> Iterator[str]:

@@ -106,6 +106,9 @@ def can(scheme: str, options: str) -> Callable[[], AbstractContextManager[Rig]]:
     return rig
 
 
+ROS = ("turtlebot3", "turtlebot3_bridge", "turtlebot3_rosbridge", "turtlebot4")
+"""rmw_zenoh, zenoh-bridge-ros2dds, rosbridge; a base that cannot reverse, has bumpers, takes stamped commands."""
+
 RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {
     "null": null,
     "sim": sim,
@@ -115,6 +118,7 @@ RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {
     # Slow, because a rover takes its time to brake, and it is braked a dozen times.
     "ardupilot": mavlink(RoverEmulator, f"speed=0.3&turn=0.8&{IN_THE_WORLD}"),
     "px4": mavlink(Px4Emulator, f"speed=0.3&turn=0.8&{IN_THE_WORLD}"),
+    **{f"ros {word}": partial(emulated_rig, word) for word in ROS},
 }
 
 MOTORS = "motors off unless ACTIVE"
@@ -127,6 +131,8 @@ UNCHECKED: dict[str, set[str]] = {
     "null": NO_DEVICE,  # there is nothing at the other end
     # A simulated body has no motors to switch off; what bumps is a matter of the world: tests/unit/test_sim_world.py
     "sim": {"senses_bumps", MOTORS},
+    # A ROS base obeys whoever publishes: no message switches its motors off.
+    **{f"ros {word}": {MOTORS} for word in ROS},
 }
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import subprocess
 import sys
-import tomllib
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -25,38 +23,24 @@ from fullswarm.launch.network import emulated_url, on_free_ports
 from fullswarm.launch.world import start_emulator
 from fullswarm.simulation.bodies import FreeBody
 from fullswarm.testing import Rig, check_driver
+from tests.emulated import outside
 from tests.waiting import until
 
 CLOCK = MonotonicClock()
-PACKAGE = Path(__file__).parents[2] / "examples" / "outside_driver"
+PACKAGE = outside.EXAMPLES / "outside_driver"
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder that holds what pip would put there: the package and its entry points."""
-    folder = tmp_path_factory.mktemp("installed")
-    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    (folder / "fullswarm_acme").symlink_to(PACKAGE / "fullswarm_acme")
-    record = folder / f"fullswarm_acme-{project['version']}.dist-info"
-    record.mkdir()
-    head = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
-    (record / "METADATA").write_text(head, encoding="utf-8")
-    lines = [f"[{group}]\n{name} = {target}\n" for group, table in project["entry-points"].items()
-             for name, target in table.items()]  # fmt: skip
-    (record / "entry_points.txt").write_text("".join(lines), encoding="utf-8")
-    return folder
+    return outside.install(PACKAGE, "fullswarm_acme", tmp_path_factory.mktemp("installed"))
 
 
 def paths(installed: Path) -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": os.pathsep.join([str(installed), str(PACKAGE), str(PACKAGE.parents[1])])}
+    return outside.paths(installed, PACKAGE)
 
 
 def python(installed: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run a module with the package installed."""
-    return subprocess.run(
-        [sys.executable, "-m", *arguments], cwd=PACKAGE, env=paths(installed), check=False, capture_output=True,
-        text=True, timeout=120,
-    )  # fmt: skip
+    return outside.python(installed, PACKAGE, *arguments)
 
 
 def fullswarm(installed: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

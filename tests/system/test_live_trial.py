@@ -64,6 +64,7 @@ def check(found: Measurement, robots: int) -> None:
     assert covered.sum() * frame.cell_area_m2 == pytest.approx(found.onboard["coverage.area_m2"], rel=0.05)
 
 
+@pytest.mark.alone  # a trial ends when a robot is silent for a second
 @pytest.mark.parametrize(("robots", "emulate"), [(4, None), (2, "create2")])
 def test_a_live_trial_measures_what_happened(robots: int, emulate: str | None) -> None:
     clock = MonotonicClock()

@@ -15,12 +15,15 @@ from fullswarm import kernels
 from fullswarm.agent.motion.coordination import (
     CREEP_SHARE,
     MAX_LINES,
+    PART_S,
     RESTS_M_S,
+    SLIDES_SHARE,
     Coordinator,
     Crowd,
     Lines,
     Motion,
     coordinate,
+    hold,
     least_violation,
     nearest,
     reciprocal,
@@ -33,7 +36,8 @@ from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
 
-TOP, HORIZON_S, PERIOD_S = 0.5, 2.0, 0.02
+TOP, HORIZON_S = 0.5, 2.0
+TURN_RAD_S = 4.25
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -62,8 +66,8 @@ def test_two_that_keep_to_their_halves_stay_apart_for_the_horizon(seed: int) -> 
     offset = distance_m * np.array([math.cos(angle), math.sin(angle)])
     vx, vy, other_vx, other_vy = rng.uniform(-TOP, TOP, 4).tolist()
     dx, dy = offset.tolist()
-    *first, limit = reciprocal(dx, dy, vx, vy, other_vx, other_vy, both_m, HORIZON_S, PERIOD_S, 0.5)
-    *second, other_limit = reciprocal(-dx, -dy, other_vx, other_vy, vx, vy, both_m, HORIZON_S, PERIOD_S, 0.5)
+    *first, limit = reciprocal(dx, dy, vx, vy, other_vx, other_vy, both_m, HORIZON_S, PART_S, 0.5)
+    *second, other_limit = reciprocal(-dx, -dy, other_vx, other_vy, vx, vy, both_m, HORIZON_S, PART_S, 0.5)
     relative = inside(rng, np.array(second), other_limit) - inside(rng, np.array(first), limit)
     times = np.linspace(0.0, HORIZON_S, 400)
     apart = np.linalg.norm(offset + times[:, None] * relative, axis=1)
@@ -148,9 +152,10 @@ class Meeting:
             np.zeros(count), np.zeros(count), np.zeros(count),
         )  # fmt: skip
         self.crowd = Crowd(
-            np.array([takes_part]), np.array([0.17]), np.array([0.03]), np.array([TOP]), np.zeros(1, bool)
+            np.array([takes_part]), np.array([0.17]), np.array([0.03]), np.array([TOP]), np.array([TURN_RAD_S]),
+            np.zeros(1, bool), np.zeros((1, 2)),
         )  # fmt: skip
-        self.coordinator = Coordinator(self.crowd, 3.0, PERIOD_S)
+        self.coordinator = Coordinator(self.crowd, 3.0, 0.02)
 
     def desired(self, x: float, y: float, speed: float = TOP) -> Array:
         desired = np.array([[x, y]])
@@ -167,6 +172,12 @@ def test_one_that_comes_towards_is_passed_and_one_behind_is_ignored() -> None:
 def test_one_at_rest_makes_way_for_one_that_comes() -> None:
     pushed = Meeting(np.array([[0.6, 0.0, math.pi, TOP, 0.0, 0.17]])).desired(0.0, 0.0, speed=0.0)
     assert pushed[0] < -0.05
+
+
+def test_one_that_overlaps_by_its_speed_alone_slows_down_and_does_not_reverse() -> None:
+    """At 0.1 m/s its disc is 3 cm larger than at rest."""
+    meeting = Meeting(np.array([[0.39, 0.0, 0.0, 0.0, 0.0, 0.17]]))
+    assert 0.0 <= meeting.desired(0.3, 0.0, speed=0.1)[0] < 0.1
 
 
 def test_one_at_rest_stands_while_hardly_pushed_and_goes_on_making_way_once_it_has_begun() -> None:
@@ -197,6 +208,25 @@ def test_one_that_is_held_turns_to_where_it_wants_to_go_until_it_may_go_on(times
         desired = meeting.desired(0.3, 0.1, speed=0.0)
     assert desired == pytest.approx([0.3, 0.1])
     assert not meeting.crowd.held[0]
+
+
+def left(x: float, y: float, calls: int, every: float, tightest: float = TOP) -> tuple[float, float]:
+    """What a held robot that wants to go east at its limit does with what is left, (x, y) or its opposite in turns."""
+    held, slide, answer = np.ones(1, bool), np.zeros((1, 2)), (0.0, 0.0)
+    for call in range(calls):
+        sign = 1.0 if call // every % 2 == 0 else -1.0
+        answer = hold(0, sign * x, sign * y, TOP, 0.0, TOP, tightest, 0.02 * TURN_RAD_S / math.pi, held, slide)
+    assert held[0]
+    return answer
+
+
+def test_one_that_is_held_follows_what_lasts_of_its_velocity_and_nothing_that_jumps() -> None:
+    x, y = 0.5 * SLIDES_SHARE * TOP, 1.3 * SLIDES_SHARE * TOP
+    assert left(x, y, 200, math.inf) == pytest.approx((x, y), rel=0.05)
+    assert left(x, y, 200, math.inf, SLIDES_SHARE * TOP) == pytest.approx((CREEP_SHARE * TOP, 0.0)), "too fast to turn"
+    assert left(x, y, 10, math.inf) == pytest.approx((CREEP_SHARE * TOP, 0.0)), "it cannot have turned there yet"
+    for calls in range(100, 120):
+        assert left(x, y, calls, 10.0) == pytest.approx((CREEP_SHARE * TOP, 0.0))
 
 
 def test_those_that_do_not_take_part_and_twists_are_left_alone() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.neighbours.estimates import Assumed, Nearby, Neighbours
 from fullswarm.agent.neighbours.objects import Objects, ObjectTracker, no_objects
-from fullswarm.agent.neighbours.silent import SilentSearch
+from fullswarm.agent.neighbours.silent import MOST_CELLS, SilentSearch, _Search
 from fullswarm.agent.safety.filter import Measured, Requested, SafetyFilter, Tuning, robot_params
 from fullswarm.bus.local import LocalBus
 from fullswarm.drivers.base import NO_OBSTACLES, Description, Limits
@@ -291,3 +291,8 @@ def test_agents_tell_each_other_what_remains_and_where_bodies_are() -> None:
     other.look((2.9, 0.0), NOTHING_SEEN, looks=0)
     assert other.disc[2] < before[2]
     assert math.hypot(other.disc[0] - 0.1, other.disc[1]) <= other.disc[2], "it still keeps off where the body is"
+
+
+@pytest.mark.parametrize("radius_m", [5e-324, 1e-300, 1e-9])
+def test_a_silent_robot_that_says_it_is_all_but_a_point_is_not_searched_for(radius_m: float) -> None:
+    assert _Search.cell_count(radius_m, 100.0) > MOST_CELLS

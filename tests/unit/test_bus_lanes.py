@@ -41,8 +41,9 @@ def test_no_key_is_left_out_by_mistake() -> None:
             keys[name] = each
     states = {name for name, key in keys.items() if service_of(key) == STATES}
     assert states == {
-        "pose_fix", "object_fix", "world_hold", "state", "broadcast", "profile", "reception", "relay", "searched",
-        "obstacles", "health", "clock_probe", "clock_reply", "version",
+        "pose_fix", "object_fix", "fix_source", "true_poses", "world_hold", "state",
+        "broadcast", "profile", "reception", "relay", "searched", "obstacles", "health",
+        "clock_probe", "clock_reply", "version",
     }  # fmt: skip
 
 

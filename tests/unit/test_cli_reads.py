@@ -8,7 +8,20 @@ import typer
 from fullswarm.cli.main import app
 
 DOERS = {
-    *("up", "hub", "core", "centralised", "agent", "sim", "console", "fixes", "init"),  # run, or make, something
+    *(
+        "up",
+        "hub",
+        "core",
+        "centralised",
+        "agent",
+        "sim",
+        "console",
+        "fixes",
+        "fixes record",
+        "fixes play",
+        "init",
+        *("track run", "track init", "track sheets", "track calibrate lens", "track calibrate floor"),
+    ),  # run, or make, something
     *(
         "stop",
         "drive",

@@ -58,7 +58,7 @@ def test_a_meeting_counts_once_for_each_robot() -> None:
     body = world((1.0, 2.0, 0.0), (3.0, 2.0, math.pi))
     referee = referee_of(body)
     drive(body, referee, 250, [[0.5, 0.0], [0.5, 0.0]])
-    assert referee.robots.events.tolist() == [1, 1]
+    assert referee.robots.own.events.tolist() == [1, 1]
     assert referee.obstacles.events.tolist() == [0, 0]
 
 
@@ -68,14 +68,14 @@ def test_parting_and_meeting_again_counts_again() -> None:
     drive(body, referee, 150, [[0.5, 0.0], [0.5, 0.0]])
     drive(body, referee, 60, [[-0.3, 0.0], [0.0, 0.0]])
     drive(body, referee, 60, [[0.5, 0.0], [0.0, 0.0]])
-    assert referee.robots.events.tolist() == [2, 2]
+    assert referee.robots.own.events.tolist() == [2, 2]
 
 
 def test_walls_and_boxes_count_apart() -> None:
     body = world((1.0, 1.0, 0.0), (1.0, 3.0, 0.0), boxes=[(2.0, 1.0, 0.5, 0.5, 0.0)])
     referee = referee_of(body)
     drive(body, referee, 400, [[0.5, 0.0], [0.5, 0.0]])
-    assert referee.robots.events.tolist() == [0, 0]
+    assert referee.robots.own.events.tolist() == [0, 0]
     assert referee.obstacles.events.tolist() == [1, 1]
 
 

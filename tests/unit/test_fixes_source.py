@@ -6,7 +6,6 @@ import json
 import math
 import socket
 import time
-from collections import deque
 from typing import Any
 
 import pytest
@@ -17,26 +16,37 @@ from fullswarm.bus import LocalBus
 from fullswarm.clock import MonotonicClock, SimClock
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
-from fullswarm.localization.fixes import (
-    WAITING,
-    Datagram,
-    FixesNode,
-    Options,
-    Port,
-    parse_map,
-    parse_objects,
-    unit_of,
-)
-from fullswarm.localization.mocap import FIELDS, Format, Refused, Sighting
-from fullswarm.messages import HealthReport, ObjectFix, PoseFix, RobotHealth
+from fullswarm.localization.json_udp import FIELDS, Format, JsonSource
+from fullswarm.localization.links import DatagramPort
+from fullswarm.localization.publisher import FixPublisher, Names, parse_map, parse_objects
+from fullswarm.localization.sighting import Convention, Refused, Sighting, unit_of
+from fullswarm.localization.source import WAITING, Receiver, Settings, SourceNode
+from fullswarm.messages import FixSourceReport, HealthReport, ObjectFix, PoseFix, RobotHealth
 from fullswarm.runtime import Mailbox, Runtime
 
 KEYS = Keys("swarm")
+
+
+class Words:
+    """A source of JSON datagrams without a port."""
+
+    sensor, address, hint = "mocap", "udp 127.0.0.1:1", "is your program sending to this port?"
+
+    def start(self, receiver: Receiver) -> None:
+        """Deliver nothing by itself."""
+
+    def read(self, content: bytes) -> list[Sighting | Refused]:
+        return Format().read(content)
+
+    def close(self) -> None:
+        """Hold nothing."""
+
+
 GOOD: dict[str, Any] = {"robot": "r1", "x": 1.5, "y": -2.0, "heading": 0.5}
 
 
 def read(found: Any, **format_: Any) -> Sighting | Refused:
-    (each,) = Format(**format_).read(json.dumps(found).encode())
+    (each,) = Format(Convention(**format_)).read(json.dumps(found).encode())
     return each
 
 
@@ -61,19 +71,14 @@ def times(one: list[float], other: list[float]) -> list[float]:
 
 
 def test_an_object_is_reported_as_one_and_not_as_a_robot() -> None:
-    runtime, waiting = Runtime(SimClock(), Mailbox()), deque[Datagram](maxlen=WAITING)
-    bus = LocalBus(runtime.mailbox)
-    found, fixes = list[ObjectFix](), list[PoseFix]()
-    bus.subscribe(KEYS.object_fix(), ObjectFix, found.append)
-    bus.subscribe(KEYS.pose_fix(), PoseFix, fixes.append)
-    node = FixesNode(bus, runtime, KEYS, Options(objects=parse_objects(["Person 1=0.3"])), "p", waiting)
-    seen = [{**GOOD, "robot": "Person 1"}, GOOD]
-    waiting.append((2.0, "127.0.0.1", json.dumps(seen).encode()))
-    node.read()
-    runtime.run(0.01)
+    bench = Bench(Names(objects=parse_objects(["Person 1=0.3"])))
+    found = list[ObjectFix]()
+    bench.bus.subscribe(KEYS.object_fix(), ObjectFix, found.append)
+    bench.send([{**GOOD, "robot": "Person 1"}, GOOD])
+    fixes = bench.fixes
     assert [(each.object, each.x_m, each.y_m, each.radius_m) for each in found] == [("Person 1", 1.5, -2.0, 0.3)]
     assert [each.robot for each in fixes] == ["r1"]
-    node.close()
+    bench.node.close()
 
 
 @pytest.mark.parametrize("word", ["person", "person=", "person=-1", "person=wide", "=0.3", "person=nan", "person=1e9"])
@@ -179,57 +184,58 @@ values = st.recursive(
 
 @given(st.dictionaries(st.sampled_from(FIELDS), values), st.booleans())
 def test_any_json_is_a_finite_sighting_or_refused(found: dict[str, Any], y_up: bool) -> None:
-    for each in Format(y_up=y_up).read(json.dumps(found).encode()):
+    for each in Format(Convention(y_up=y_up)).read(json.dumps(found).encode()):
         if isinstance(each, Sighting):
             assert math.isfinite(each.x_m + each.y_m + each.heading_rad + each.position_sigma_m + (each.time_s or 0.0))
 
 
 # ---------------------------------------------------------------- the node
 class Bench:
-    def __init__(self, options: Options) -> None:
+    def __init__(self, names: Names) -> None:
         self.runtime = Runtime(SimClock(100.0), Mailbox())
         self.bus = LocalBus(self.runtime.mailbox)
         self.fixes: list[PoseFix] = []
         self.bus.subscribe(KEYS.pose_fix(), PoseFix, self.fixes.append)
-        self.waiting: deque[Datagram] = deque()
-        self.node = FixesNode(self.bus, self.runtime, KEYS, options, "fixes-1", self.waiting)
+        self.reports: list[FixSourceReport] = []
+        self.bus.subscribe(KEYS.fix_source(), FixSourceReport, self.reports.append)
+        self.publisher = FixPublisher(self.bus, self.runtime, KEYS, names, sensor="mocap", process="fixes-1")
+        self.node = SourceNode(Words(), Convention(), self.publisher, self.runtime, self.runtime.mailbox)
 
     def send(self, found: Any, sender: str = "10.0.0.7") -> None:
         data = found if isinstance(found, bytes) else json.dumps(found).encode()
-        self.waiting.append((self.runtime.now_s() - 0.001, sender, data))
-        self.node.read()
+        self.node.arrive(self.runtime.now_s() - 0.001, sender, data)
         self.runtime.mailbox.drain()
 
 
 def test_a_sighting_becomes_a_fix_of_the_robot_it_is_mapped_to() -> None:
-    bench = Bench(Options(robots=parse_map(["Rigid Body 1=r7"])))
+    bench = Bench(Names(robots=parse_map(["Rigid Body 1=r7"])))
     bench.send([{"name": "Rigid Body 1", "x": 1, "y": 2, "heading": 3, "contacts": 1}, GOOD])
     assert bench.fixes == [
         PoseFix(
             robot="r7", x_m=1.0, y_m=2.0, heading_rad=3.0, position_sigma_m=0.005, heading_sigma_rad=0.02,
-            source="fixes-1", stamp_s=99.999, contacts=1,
+            source="fixes-1", stamp_s=99.999, contacts=1, sensor="mocap",
         ),
         PoseFix(
             robot="r1", x_m=1.5, y_m=-2.0, heading_rad=0.5, position_sigma_m=0.005, heading_sigma_rad=0.02,
-            source="fixes-1", stamp_s=99.999,
+            source="fixes-1", stamp_s=99.999, sensor="mocap",
         ),
     ]  # fmt: skip
 
 
 def test_a_sender_with_a_clock_is_a_source_of_its_own() -> None:
-    bench = Bench(Options())
+    bench = Bench(Names())
     bench.send({**GOOD, "time_s": 7.25})
     assert (bench.fixes[0].source, bench.fixes[0].stamp_s) == ("fixes-1/10.0.0.7", 7.25)
 
 
 def test_a_body_that_the_cameras_have_lost_is_no_fix_and_no_mistake() -> None:
-    bench = Bench(Options())
+    bench = Bench(Names())
     bench.send({"robot": "r1", "tracked": False})
-    assert (bench.fixes, bench.node.bad.total()) == ([], 0)
+    assert (bench.fixes, bench.publisher.bad.total()) == ([], 0)
 
 
 def test_each_kind_of_mistake_is_told_once_and_counted(capsys: pytest.CaptureFixture[str]) -> None:
-    bench = Bench(Options())
+    bench = Bench(Names())
     for number in range(5):
         bench.send({**GOOD, "x": f"{number}"})
         bench.send(b"\xff\x00")
@@ -239,13 +245,29 @@ def test_each_kind_of_mistake_is_told_once_and_counted(capsys: pytest.CaptureFix
     assert told.count("not JSON") == 1
     assert told.count("--map NAME=ROBOT") == 1
     assert told.count("a datagram was refused") == 3
-    assert set(bench.node.bad.values()) == {5}
+    assert set(bench.publisher.bad.values()) == {5}
     bench.node.close()
     assert "refused=15" in capsys.readouterr().out
 
 
+def test_a_report_says_every_second_what_is_seen_and_what_is_not() -> None:
+    bench = Bench(Names(robots=parse_map(["Rigid Body 1=r7"])))
+    bench.publisher.expect("r7", "Rigid Body 1")
+    bench.publisher.expect("r8", "tag 8")
+    bench.send([{"name": "Rigid Body 1", "x": 1, "y": 2}])
+    bench.runtime.run(1.5)
+    bench.publisher.problem("the camera has moved")
+    bench.runtime.mailbox.drain()
+    assert [report.problem for report in bench.reports] == ["", "the camera has moved"]
+    last = bench.reports[-1]
+    assert (last.source, last.sensor, last.robots, last.markers) == (
+        "fixes-1", "mocap", ("r7", "r8"), ("Rigid Body 1", "tag 8"),
+    )  # fmt: skip
+    assert list(last.unseen_s) == pytest.approx([1.5, -1.0], abs=0.02)
+
+
 def test_it_says_once_that_a_robot_is_not_here(capsys: pytest.CaptureFixture[str]) -> None:
-    bench = Bench(Options())
+    bench = Bench(Names())
     health = RobotHealth(robot="r1", driver="", make="", model="", firmware="", lifecycle="READY")
     bench.bus.publish(KEYS.health("r1"), HealthReport(host="r1", process="p", version="0", robots=(health,)))
     bench.runtime.run(6.0)
@@ -256,27 +278,49 @@ def test_it_says_once_that_a_robot_is_not_here(capsys: pytest.CaptureFixture[str
     assert "did you mean 'r1'?" in told
 
 
-def test_a_port_hands_on_what_comes_and_forgets_what_is_too_much() -> None:
+def test_a_source_that_is_silent_is_reported_and_well_again_with_the_next_datagram() -> None:
+    bench = Bench(Names())
+    bench.send(GOOD)
+    bench.runtime.run(1.5)
+    assert bench.reports[-1].problem == ""
+    bench.runtime.run(1.5)
+    problem = "nothing arrives from udp 127.0.0.1:1: is your program sending to this port?"
+    assert bench.reports[-1].problem == problem
+    bench.send(GOOD)
+    bench.runtime.run(1.1)
+    assert bench.reports[-1].problem == ""
+    bench.node.report("no connection")
+    bench.runtime.mailbox.drain()
+    assert bench.reports[-1].problem == "no connection"
+
+
+def test_a_port_hands_on_what_comes() -> None:
     mailbox = Mailbox()
     runtime = Runtime(MonotonicClock(), mailbox)
-    port = Port("127.0.0.1:0", False, runtime.clock, mailbox)
-    bus = LocalBus(mailbox)
-    node = FixesNode(bus, runtime, KEYS, Options(), "fixes-1", port.waiting)
+    source = JsonSource(Settings("json://127.0.0.1:0"), Format(), runtime.clock)
+    publisher = FixPublisher(LocalBus(mailbox), runtime, KEYS, Names(), sensor="mocap")
+    node = SourceNode(source, Convention(), publisher, runtime, mailbox)
     try:
-        port.start(node)
-        host, number = port.address.split(":")
+        node.start()
+        host, number = source.address.removeprefix("udp ").split(":")
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.sendto(json.dumps(GOOD).encode(), (host, int(number)))
             deadline_s = time.monotonic() + 5.0
-            while node.sent == 0:
+            while publisher.sent == 0:
                 assert time.monotonic() < deadline_s
                 mailbox.deliver_one(0.1)
-        assert port.waiting.maxlen == WAITING
         with pytest.raises(ConfigError, match="cannot listen there"):
-            Port(port.address, False, runtime.clock, mailbox)
+            JsonSource(Settings(f"json://{host}:{number}"), Format(), runtime.clock)
     finally:
-        port.close()
         node.close()
+
+
+def test_of_what_is_too_much_the_oldest_is_forgotten() -> None:
+    bench = Bench(Names())
+    for number in range(WAITING + 5):
+        bench.node.arrive(100.0, "a", json.dumps({**GOOD, "x": number / 100.0}).encode())
+    bench.runtime.mailbox.drain()
+    assert (len(bench.fixes), bench.fixes[0].x_m) == (WAITING, 0.05)
 
 
 @pytest.mark.parametrize(
@@ -291,12 +335,12 @@ def test_a_port_hands_on_what_comes_and_forgets_what_is_too_much() -> None:
 )
 def test_addresses_that_will_not_do(listen: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        Port(listen, False, MonotonicClock(), Mailbox())
+        DatagramPort(listen, False, "--listen")
 
 
 def test_an_address_of_another_machine_is_said_to_be_one() -> None:
     with pytest.raises(ConfigError, match="cannot listen there"):
-        Port("192.0.2.1:0", True, MonotonicClock(), Mailbox())
+        DatagramPort("192.0.2.1:0", True, "--listen")
 
 
 @pytest.mark.parametrize("words", [["r1"], ["=r1"], ["a="], ["a=r 1"], ["a=r1", "a=r2"], ["a=r1", "b=r1"]])

@@ -45,7 +45,8 @@ def test_no_make_claims_hardware_that_the_readme_denies() -> None:
 
 
 def test_the_words_of_fleet_files_are_those_of_the_records() -> None:
-    assert set(emulated()) == {"create1", "roomba500", "create2", "rover", "odrive", "vesc"}
+    ros = {"turtlebot3", "turtlebot3_bridge", "turtlebot3_rosbridge", "turtlebot4"}
+    assert set(emulated()) == {"create1", "roomba500", "create2", "rover", "odrive", "vesc", *ros}
 
 
 def test_reading_all_records_imports_no_library_of_a_make_and_no_emulator() -> None:

@@ -86,6 +86,7 @@ def driven(seed: int, steps: int, engine: str = "kinematic", movers: int = 1) ->
         simulated_s=steps * world.dt_s,
         mover_events=counted.mover_events,
         mover_hits=counted.mover_hits,
+        pushed_events=counted.pushed_events,
         above_limits=counted.above_limits,
         pairs_touched=counted.pairs_touched,
         robots_touched=counted.robots_touched,
@@ -120,7 +121,9 @@ def test_an_independent_recount_agrees_with_the_referee_in_random_worlds(
 
 def test_the_random_worlds_have_contacts_of_all_kinds_and_commands_above_the_limits() -> None:
     outcomes = [record.outcome for record, _ in (driven(seed, 120) for seed in range(4))]
-    for name in ("robot_events", "obstacle_events", "mover_events", "mover_hits", "above_limits", "arrived"):
+    for name in (
+        "robot_events", "obstacle_events", "mover_events", "mover_hits", "pushed_events", "above_limits", "arrived",
+    ):  # fmt: skip
         assert sum(getattr(each, name) for each in outcomes) > 0, name
 
 

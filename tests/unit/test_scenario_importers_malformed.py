@@ -17,7 +17,10 @@ pytest.importorskip("defusedxml")
 pytest.importorskip("yaml")
 
 FILES = Path(__file__).parent / "scenario_files"
-SOURCES = {"sdf": "hall.sdf", "argos": "hall.argos", "stage": "hall.world", "menge": "hallS.xml", "irsim": "hall.yaml"}
+SOURCES = {"sdf": "hall.sdf", "argos": "hall.argos", "stage": "hall.world", "menge": "hallS.xml", "irsim": "hall.yaml",
+           "map": "hall_map.yaml"}  # fmt: skip
+PICTURE = "hall_map.pgm"
+"""Of the map; it lies beside it."""
 
 ABSURD = ["0", "-1", "1e999", "nan", "1e300", "", "x", "1e-300", "99999999", "-0.0", "1e16", "[", "{}", "null", "true"]
 
@@ -123,12 +126,15 @@ def test_a_broken_world_is_told_with_its_place(tmp_path: Path, form: str, text: 
 @given(data=st.data())
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_damaged_files_raise_nothing_else(tmp_path: Path, form: str, data: st.DataObject) -> None:
-    source = (FILES / SOURCES[form]).read_bytes()
+    picture = form == "map" and data.draw(st.booleans())
+    source = (FILES / (PICTURE if picture else SOURCES[form])).read_bytes()
+    (tmp_path / PICTURE).write_bytes((FILES / PICTURE).read_bytes())
     start = data.draw(st.integers(0, len(source)))
     length = data.draw(st.integers(0, 40))
     inserted = data.draw(st.one_of(st.binary(max_size=6), st.sampled_from([b"-1", b"1e999", b"nan", b"[", b"<", b"]"])))
     path = tmp_path / "damaged"
-    path.write_bytes(source[:start] + inserted + source[start + length :])
+    path.write_bytes((FILES / SOURCES[form]).read_bytes())
+    (tmp_path / PICTURE if picture else path).write_bytes(source[:start] + inserted + source[start + length :])
     try:
         imported = read_world(path, form)
     except ConfigError:
@@ -147,6 +153,7 @@ def test_absurd_numbers_raise_nothing_else(tmp_path: Path, form: str, data: st.D
         text = text[: place.start()] + data.draw(st.sampled_from(ABSURD)) + text[place.end() :]
     path = tmp_path / "absurd"
     path.write_text(text)
+    (tmp_path / PICTURE).write_bytes((FILES / PICTURE).read_bytes())
     try:
         imported = read_world(path, form)
     except ConfigError:

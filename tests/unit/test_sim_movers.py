@@ -75,6 +75,19 @@ def test_a_robot_that_drives_into_a_mover_has_touched_it_by_its_own_motion() -> 
     assert not referee.touched.any()
 
 
+def test_robots_meet_by_a_push_where_a_mover_pushes_one_into_the_other_and_by_themselves_elsewhere() -> None:
+    mover = {"waypoints": [[1.0, 5.0], [9.0, 5.0]], "speed_m_s": 1.0, "radius_m": 0.25, "repeat": "once"}
+    made = world((4.0, 5.0, 0.0), (5.0, 5.0, 0.0), (4.0, 1.0, 0.0), (5.0, 1.0, 0.0), movers=[mover])
+    referee = Referee(made, Standard.of_world(made, np.zeros((4, 2)), 0.1))
+    for _ in range(250):
+        made.set_twists(np.array([[0.0, 0.0], [0.0, 0.0], [0.5, 0.0], [0.0, 0.0]]))
+        made.step()
+        referee.sample()
+    assert referee.robots.pushed.events.tolist() == [1, 1, 0, 0]
+    assert referee.robots.own.events.tolist() == [0, 0, 1, 1]
+    assert referee.pairs == {(0, 1), (2, 3)}
+
+
 def test_bodies_are_seen_in_range_and_line_of_sight() -> None:
     wall = [3.0, 5.0, 0.2, 2.0, 0.0]
     made = world((2.0, 5.0, 0.0), (2.0, 6.0, 0.0), (4.0, 5.0, 0.0), (2.0, 9.5, 0.0), boxes=[wall])

@@ -34,6 +34,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
         "goal": [3.0, 4.0], "gain": 1.0, "arrive_radius_m": 0.05, "safety_margin_m": 0.03, "barrier_gain_per_s": 2.0,
     },
     "stop": {},
+    "docking": {"place": [3.0, 4.0], "dock_rad": 0.5, "approach_m": 0.6, "speed_m_s": 0.1, "way": 0.0},
     "dispersion": {"spacing_m": 2.0, "gain": 0.5},
     "aggregation": {"gap_m": 0.6, "speed_m_s": 0.4, "turns_per_s": 0.1, "leave_per_s": 0.1, "away_s": 15.0},
     "leader_follower": {

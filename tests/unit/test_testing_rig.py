@@ -166,7 +166,7 @@ def test_without_a_rig_nothing_is_believed_to_be_checked() -> None:
     assert set(report.checked) == {
         "lifecycle", "limits, signs and scale", "silence of the controller", "not finite", "promptness",
         "deactivate and close", "slow driving", "can_reverse", "senses_bumps", "senses_pose", "senses_obstacles",
-        "actuators",
+        "actuators", "ranges",
     }  # fmt: skip
     for name, lack in (("unplug", "no unplug, no replug"), ("garbage", "no garbage"), ("wall clock set", "no make_on")):
         assert lack in report.skipped[name]

@@ -17,6 +17,7 @@ Files:
 ``consensus.py``          Consensus: agree on a meeting point by broadcasts
 ``cyclic_pursuit.py``     Cyclic pursuit: all on one circle at equal distances
 ``dispersion.py``         Dispersion: springs that only push
+``docking.py``            Docking: straight into a dock and backwards out of it, a part of charging
 ``drive.py``              Teleoperation in the robot's own frame: a stick for speed, one for turning
 ``exploration.py``        Exploration: frontiers of a grid that all robots join
 ``flocking.py``           Flocking: separation, alignment and cohesion, each within its radius (paper III.A.2,

@@ -11,7 +11,7 @@ Breitenmoser, Rufli, Beardsley, Siegwart 2010). The robot uses its own pose and 
 neighbours send; nothing is negotiated, and a neighbour that does not take part is still avoided.
 
 What is left of a desired velocity in a jam is little and jumps: a robot that keeps hardly any of it turns to where it
-wants to go instead of following it, so that wheels do not reverse.
+wants to go instead of following it, so that wheels do not reverse, unless what is left lasts.
 
 Only the *desired* velocity changes. The safety filter comes after it, so its guarantees hold whatever is computed here.
 """
@@ -41,8 +41,15 @@ HELD_SHARE = 0.25
 """A robot is held while less than this of its desired speed is left: the direction of what little is left jumps with
 each millimetre. A held robot desires to go where it did at `CREEP_SHARE` of that speed, so that it turns there."""
 CREEP_SHARE = 0.02
-RESTS_M_S = 0.02
+SLIDES_SHARE = 0.1
+"""What is left of its velocity lasts if the mean of it, over the time in which the robot can turn back, is above this
+share of its speed limit: a held robot then follows the mean, if it can turn within its footprint at that speed. So the
+robots of a full goal disc move up into gaps."""
+RESTS_M_S = 0.006
 """A robot that desires less only gives way. It is held, and stands, while it is to give way by less."""
+PART_S = 0.12
+"""In so long two robots that overlap are to part: a moving robot's disc grows with its speed, so that it begins to
+overlap by a little, and one that parts in a control period then stops and starts again without end."""
 RELEASED = 2.0
 """A held robot is released by so many times what it is held below."""
 MAX_LINES = 16
@@ -50,24 +57,33 @@ MAX_LINES = 16
 
 
 class Rules(NamedTuple):
-    """How robots avoid each other; `period_s`: in which those that overlap shall part, `reach_m`: sensing radius."""
+    """How robots avoid each other; `part_s`: in which those that overlap shall part, `reach_m`: sensing radius.
+
+    `period_s`: between two calls.
+    """
 
     horizon_s: float
     enlarged_m: float
     share: float
     late_share: float
-    period_s: float
+    part_s: float
     reach_m: float
+    period_s: float
 
 
 class Crowd(NamedTuple):
-    """The own robots, (n,) each; `takes_part`: others keep their desired velocity; `held`: in and out, see above."""
+    """The own robots, (n,) each; `takes_part`: others keep their desired velocity; `held`: in and out, see above.
+
+    `slide`: (n, 2), in and out, the mean of what was left of the desired velocity lately, m/s.
+    """
 
     takes_part: Flags
     radius: Array
     margin_m: Array
     speed_limit: Array
+    turn_limit: Array
     held: Flags
+    slide: Array
 
 
 class Motion(NamedTuple):
@@ -193,20 +209,20 @@ def least_violation(first: int, count: int, top: float, x: float, y: float, line
 @kernel
 def reciprocal(
     dx: float, dy: float, vx: float, vy: float, other_vx: float, other_vy: float, both_m: float, horizon_s: float,
-    period_s: float, share: float,
+    part_s: float, share: float,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return the half-plane of velocities that a robot keeps to for the sake of another at (dx, dy): normal and limit.
 
     Parameters
     ----------
-    both_m : the distance to keep; within it the two part in `period_s`
+    both_m : the distance to keep; within it the two part in `part_s`
     share : of the least change of the relative velocity that keeps it for `horizon_s`
     """
     rel_x = vx - other_vx
     rel_y = vy - other_vy
     squared = dx * dx + dy * dy
     apart = squared > both_m * both_m
-    inverse = 1.0 / horizon_s if apart else 1.0 / period_s
+    inverse = 1.0 / horizon_s if apart else 1.0 / part_s
     wx = rel_x - inverse * dx
     wy = rel_y - inverse * dy
     towards = wx * dx + wy * dy
@@ -231,14 +247,20 @@ def reciprocal(
 
 
 @kernel
-def hold(i: int, x: float, y: float, aim_x: float, aim_y: float, top: float, held: Flags) -> tuple[float, float]:
-    """Return the velocity (x, y) that is left for robot `i` or, while it is held, hardly any of its aim; all in m/s.
+def hold(
+    i: int, x: float, y: float, aim_x: float, aim_y: float, top: float, tightest: float, share: float, held: Flags,
+    slide: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Return the velocity (x, y) that is left for robot `i`; while it is held, what lasts of it, or little of its aim.
 
-    `top`: speed limit, m/s; an aim may be faster.
+    All in m/s. `top`: speed limit; an aim may be faster. `tightest`: at which the robot can turn within its footprint.
+    `share`: of the new velocity in the mean, `slide`.
     """
     wanted = min(math.hypot(aim_x, aim_y), top)
     rests = wanted <= RESTS_M_S
     least = RESTS_M_S if rests else HELD_SHARE * wanted
+    slide[i, 0] += share * (x - slide[i, 0])
+    slide[i, 1] += share * (y - slide[i, 1])
     if held[i]:
         least *= RELEASED
     held[i] = math.hypot(x, y) < least and (x != aim_x or y != aim_y)
@@ -246,6 +268,8 @@ def hold(i: int, x: float, y: float, aim_x: float, aim_y: float, top: float, hel
         return x, y
     if rests:
         return 0.0, 0.0
+    if SLIDES_SHARE * top < math.hypot(slide[i, 0], slide[i, 1]) < tightest:
+        return slide[i, 0], slide[i, 1]
     creep = CREEP_SHARE * wanted / math.hypot(aim_x, aim_y)
     return creep * aim_x, creep * aim_y
 
@@ -258,8 +282,8 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: M
     ----------
     lines : room for one robot's half-planes
     """
-    most_s, enlarged_m, usual_share, late_share, period_s, reach_m = rules
-    takes_part, radius, margin_m, speed_limit, held = crowd
+    most_s, enlarged_m, usual_share, late_share, part_s, reach_m, period_s = rules
+    takes_part, radius, margin_m, speed_limit, turn_limit, held, slide = crowd
     start, other, places, states, spread_m, _, _ = near
     normal_x, normal_y, limits, _, _, _ = lines
     desired, pose, twist = motion
@@ -291,7 +315,7 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: M
             heading = states[row, 2]
             nx, ny, limit = reciprocal(
                 dx, dy, vx, vy, other_speed * math.cos(heading), other_speed * math.sin(heading), both_m, horizon_s,
-                period_s, share,
+                part_s, share,
             )  # fmt: skip
             if limit >= top:
                 continue
@@ -312,7 +336,9 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: M
             new_x, new_y, fulfilled = nearest(count, normal_x, normal_y, limits, top, aim_x, aim_y, False)
             if fulfilled < count:
                 new_x, new_y = least_violation(fulfilled, count, top, new_x, new_y, lines)
-            desired[i, 0], desired[i, 1] = hold(i, new_x, new_y, aim_x, aim_y, top, held)
+            turned = min(period_s * turn_limit[i] / math.pi, 1.0)
+            tightest = turn_limit[i] * radius[i]
+            desired[i, 0], desired[i, 1] = hold(i, new_x, new_y, aim_x, aim_y, top, tightest, turned, held, slide)
         else:
             held[i] = False
 
@@ -323,11 +349,13 @@ class Coordinator:
     Parameters
     ----------
     crowd : arrays that others may write
-    reach_m, period_s : sensing radius and control period
+    reach_m : sensing radius
+    period_s : of control
     """
 
     def __init__(self, crowd: Crowd, reach_m: float, period_s: float) -> None:
-        self._rules, self._crowd = Rules(HORIZON_S, ENLARGED_M, SHARE, LATE_SHARE, period_s, reach_m), crowd
+        self._crowd = crowd
+        self._rules = Rules(HORIZON_S, ENLARGED_M, SHARE, LATE_SHARE, PART_S, reach_m, period_s)
         scratch = np.zeros((len(Lines._fields), MAX_LINES))
         # Plain Python reads lists and views faster than arrays.
         self._lines, self._listed = Lines(*scratch), Lines._make(scratch.tolist())

@@ -44,13 +44,12 @@ class DesiredMotion:
     blocked : by robot, why its control law knows no way to where it is to drive
     news : `blocked` has changed since this was last set to False
     asked : what control laws have asked of actuators since this was last emptied
-    sees_obstacles : a robot senses obstacles; else the map that the fleet file gives stands for them
     context : what control laws may know beside positions
     endings : by robot, how control laws have ended themselves since this was last emptied
     """
 
     def __init__(
-        self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: AgentState, tasks: Tasks,
+        self, settings: AgentConfig, bounds_m: Bounds, state: AgentState, tasks: Tasks,
         neighbours: Neighbours, obstacle_map: ObstacleMap, settling: Settling, deadlocks: Deadlocks,
         safety: SafetyFilter, controller: RobotController, evasion: Evasion,
     ) -> None:  # fmt: skip
@@ -59,16 +58,16 @@ class DesiredMotion:
         self._settling, self._deadlocks, self._evasion = settling, deadlocks, evasion
         self._filter, self._controller = safety, controller
         count = len(state.radius)
-        # Robots that sense no obstacles have their map instead.
-        self.sees_obstacles = senses_obstacles
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
         self._standing = Standing(neighbours, evasion.objects)
         self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
-        held = np.zeros(count, bool)
-        crowd = Crowd(tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit, held)
+        crowd = Crowd(
+            tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit, controller.turn_limit,
+            held=np.zeros(count, bool), slide=np.zeros((count, 2)),
+        )  # fmt: skip
         self._coordinator = Coordinator(crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz)
         self.context = Context(
             neighbours.ids, neighbours.names, state, tasks.since_s, tasks.index, self._contacts_read, tasks.generator
@@ -129,7 +128,7 @@ class DesiredMotion:
             return
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
-        obstacles = reading.obstacles if self.sees_obstacles else self._obstacle_map.given
+        obstacles = self._state.obstacles
         if tasks.any_filtered:
             self._settling.hold(now_s, self._planar, pose, reading.twist, self._state.sigma, near, obstacles)
             # A stick's twist is not turned: its operator sees the robot.

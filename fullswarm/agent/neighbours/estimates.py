@@ -13,7 +13,7 @@ import numpy as np
 from fullswarm.bus.base import Bus, Subscription
 from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, cells_within
-from fullswarm.messages import Message, RobotStates
+from fullswarm.messages import AWAY, Message, RobotStates
 from fullswarm.recent import Names, Recent
 
 M = TypeVar("M", bound=Message)
@@ -125,6 +125,7 @@ class Neighbours:
     on_forget : called with the row of a robot that is forgotten
     now_s : time of the last `set_time`
     ids : (n,) ids of the own robots
+    own_away : (n,) which of them are away: see ``orders.charging``, which writes it
     listed : robots of the fleet file; None: all count as such
     own_frame_host, own_frame_s : the host that last sent poses in a frame of its own, and when they were received
     """
@@ -150,6 +151,7 @@ class Neighbours:
         self.names: list[str] = []
         self._others = 0  # of them, robots of other agents
         self.own_row = np.full(len(ids), -1, np.int64)
+        self.own_away: Flags = np.zeros(len(ids), np.bool_)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.states = np.zeros((0, 6))
         self.limits = np.zeros((0, 5))
@@ -396,6 +398,8 @@ class Neighbours:
             team = self._keep_peers(start, other, team, peers)
         if team is not None and self._mixed(team):
             keep_team.run(start, other, team, self.teams)
+        if team is not None and (self.teams[: self.count] == AWAY).any():
+            leave_out.run(start, other, self.own_away, self.teams)
         return start, other
 
     def _keep_peers(self, start: Index, other: Index, team: Index, peers: Peers) -> Index:
@@ -427,7 +431,7 @@ class Neighbours:
         if self._alone is not None:  # to look through its few neighbours costs less than to reduce an array
             return bool(team[0])
         known = self.own_row >= 0  # what the own robots run is known at once, without their messages
-        self.teams[self.own_row[known]] = team[known]
+        self.teams[self.own_row[known]] = np.where(self.own_away, AWAY, team)[known]
         return bool((self.teams[: self.count] != team[0]).any() or (team != team[0]).any())
 
     def _search(self, position: Array, places: Array, reach_m: float) -> tuple[Index, Index]:
@@ -805,6 +809,28 @@ def cell_pairs(
                         found += 1
     start[position.shape[0]] = min(found, capacity)
     return found
+
+
+@kernel
+def leave_out(start: Index, other: Index, own_away: Flags, teams: Index) -> None:
+    """Drop robots that are away from the pair list, but for own robots that are away themselves: they drive past them.
+
+    Parameters
+    ----------
+    start, other : as `all_pairs` fills them; both are rewritten in place
+    own_away : (n,) own robots that are away
+    teams : (m,) team of each robot received
+    """
+    kept = 0
+    for i in range(own_away.shape[0]):
+        first = start[i]
+        start[i] = kept
+        for pair in range(first, start[i + 1]):
+            row = other[pair]
+            if own_away[i] or teams[row] != AWAY:
+                other[kept] = row
+                kept += 1
+    start[own_away.shape[0]] = kept
 
 
 @kernel

@@ -8,7 +8,7 @@ with them.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,7 @@ class ObstacleMap:
         self._last: Array | None = None
         self._known: dict[tuple[str, int], Array] = {}
         self._told: dict[str, Array] = {}
+        self._measured: dict[str, Array] = {}
 
     def add_sensed(self, position: Array, obstacles: Array, reach_m: float) -> int:
         """Take in what the robots sense now, (k, 6) of all of them together; return how much of it is new."""
@@ -95,6 +96,11 @@ class ObstacleMap:
         if self._told.pop(host, None) is not None:
             self._known.clear()
 
+    def set_measured(self, rows: Mapping[str, Array]) -> None:
+        """Set what range sensors have measured, (k, 6) of OWN and of SHARED, in place of what they had before."""
+        self._measured = dict(rows)
+        self._known.clear()
+
     def known(self, row: int, source: str) -> Array:
         """Return the obstacles (k, 6) that robot `row` knows from `source`: GIVEN, SHARED or OWN."""
         if source == GIVEN:
@@ -105,6 +111,8 @@ class ObstacleMap:
             rows = self._rows[: len(self._index)]
             own = source == OWN
             found = rows[self._seen[row, : len(rows)]] if own else np.concatenate([rows, *self._told.values()])
+            if source in self._measured:
+                found = np.concatenate([found, self._measured[source]])
             self._known[key] = found
         return found
 

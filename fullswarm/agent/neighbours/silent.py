@@ -52,7 +52,8 @@ class _Search:
 
     @classmethod
     def cell_count(cls, radius_m: float, spread_m: float) -> float:
-        return math.pi * (spread_m / radius_m + 1.0) ** 2
+        across = spread_m / radius_m + 1.0
+        return math.pi * across * across  # a power would raise where a radius is all but nothing
 
     def drop(self, empty: NDArray[np.bool_], looks: int = 1) -> None:
         """Count a look at cells that were found `empty`; those seen often enough are gone."""

@@ -8,6 +8,7 @@ from typing import Literal
 
 from fullswarm.agent.message_delay import MessageDelay
 from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
+from fullswarm.agent.orders.charging import Charging
 from fullswarm.agent.orders.estops import EStops, LatchFolder
 from fullswarm.agent.orders.tasks import Task, Tasks, simulated_only
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -57,6 +58,7 @@ class Inbox:
     ----------
     ended : why the last task of each robot was ended on board; false: it was not
     results : how it was ended by its own control law; None: it was not
+    charging : interrupts tasks so that robots charge
     halts : the stop or e-stop since which each robot has started nothing; None: it has started something
     """
 
@@ -82,6 +84,11 @@ class Inbox:
         self._stops: Recent[str, None] = Recent(REMEMBERED_STOPS)
         self._folder: LatchFolder | None = None
         self._unkept, self._kept_s = set[int](), -math.inf  # robots whose newest stop is not on disk
+        self.charging = Charging(
+            bus, keys, scheduler, fleet, state, tasks,
+            replaced=lambda row, core: self._epochs[row].replaced(core, scheduler.now_s()), halts=self.halts,
+            end=self.void, forget=controller.forget,
+        )  # fmt: skip
         self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller.speed_limit, wake)
         robot = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
@@ -139,7 +146,7 @@ class Inbox:
         return request.enable and halt is not None and request.halts is not None and halt.id not in request.halts
 
     def _answer(self, row: int, request: ControlRequest, why_not: Reason) -> ControlAck:
-        task = self._tasks.of[row]
+        task = self._tasks.asked(row)
         return ControlAck(
             request_id=request.request_id,
             robot=request.robot,
@@ -182,7 +189,8 @@ class Inbox:
             new_law = before is None or before.law != task.law
             if new_law and self._fleet.descriptions[row].make != SIMULATED and simulated_only(task.law):
                 return reason(Code.SIMULATED_ONLY, law=task.law)
-            self._tasks.enable(row, task)
+            if not self.charging.take(row, task):
+                self._tasks.enable(row, task)
         except FullswarmError as error:
             return given(str(error))
         if self.halts[row] is not None and self._folder is not None:
@@ -203,8 +211,10 @@ class Inbox:
 
     def void(self, row: int, why: Reason) -> None:
         """End robot `row`'s task for good: the same request, sent again by reconciliation, is refused from now on."""
-        task = self._tasks.of[row]
+        task = self._tasks.asked(row)
         if task is None:
+            if self.charging.away(row):
+                self._drop(row)
             return
         self._epochs[row].voided[task.request.request_id] = why
         self.ended[row] = why
@@ -223,6 +233,7 @@ class Inbox:
         self.results[row] = Result(request_id=request.request_id, robot=request.robot, outcome=outcome, text=text)
 
     def _drop(self, row: int) -> None:
+        self.charging.call_off(row)
         self._tasks.disable(row)
         self._controller.forget(row)
 
@@ -330,6 +341,7 @@ class Inbox:
 
     def close(self) -> None:
         """Drop all subscriptions."""
+        self.charging.close()
         for subscription in self._subscriptions:
             subscription.close()
 

@@ -11,7 +11,7 @@ import math
 import tomllib
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +106,16 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
+class Parked:
+    """A task that is interrupted, with what it goes on with: one row of memory, random numbers, and its age."""
+
+    task: Task
+    memory: Any = None
+    generator: np.random.Generator | None = None
+    since_s: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
 class Group:
     """Robots that run the same control law."""
 
@@ -130,6 +140,7 @@ class Tasks:
 
     Attributes
     ----------
+    parked : by robot, the task that it goes on with once it has charged
     ids, seed : (n,) names of the robots, and the swarm's seed, for random numbers
     since_s : (n,) when each task began; renewed parameters do not count
     index : (n,) place of each robot among its request's members, -1: it is not among them
@@ -156,6 +167,7 @@ class Tasks:
     ids: tuple[str, ...] = ()
     seed: int = 0
     of: list[Task | None] = field(init=False)
+    parked: dict[int, Parked] = field(init=False, default_factory=dict)
     active: NDArray[np.bool_] = field(init=False)
     filtered: NDArray[np.bool_] = field(init=False)
     lasting: NDArray[np.bool_] = field(init=False)
@@ -207,14 +219,8 @@ class Tasks:
         request, before = task.request, self.of[row]
         check(request)
         alike = before is not None and _alike(before.request, request)
-        if not alike and task.law != CENTRALISED:
-            module = registry.law_module(task.law)
-            # A wrong declaration is refused here.
-            if declares(module):
-                memory.allocate(module.Memory, 0)
-                self._apart.add(task.law)
-            if layout_of(module) is not None:
-                self._apart.add(task.law)
+        if not alike:
+            self._admit(task)
         goes_on = _continues(before, task)
         self.of[row] = task
         if not goes_on:
@@ -242,6 +248,65 @@ class Tasks:
         self.lasting[row] = request.filtered and request.expires_s <= 0.0
         self.survives_core[row] = request.survives_core
         self._regroup()
+
+    def _admit(self, task: Task) -> None:
+        """Note how a control law is to be called; raise ``ConfigError`` for a wrong declaration."""
+        if task.law == CENTRALISED:
+            return
+        module = registry.law_module(task.law)
+        if declares(module):
+            memory.allocate(module.Memory, 0)
+            self._apart.add(task.law)
+        if layout_of(module) is not None:
+            self._apart.add(task.law)
+
+    # ------------------------------------------------------------------ interruptions
+    def asked(self, row: int) -> Task | None:
+        """Return the task that was asked of robot `row`: the one that it runs, or that is interrupted."""
+        parked = self.parked.get(row)
+        return self.of[row] if parked is None else parked.task
+
+    def park(self, row: int) -> None:
+        """Interrupt robot `row`'s task: it stands, and remembers what the task needs to go on."""
+        task = self.of[row]
+        if task is not None:
+            kept = Parked(task, self._own_memory(row), self._generators.get(row), float(self.since_s[row]))
+            self.disable(row)
+            self.parked[row] = kept
+
+    def park_new(self, row: int, task: Task) -> None:
+        """Put a task in place of the one that is interrupted; `ConfigError` as from :meth:`enable`."""
+        check(task.request)
+        self._admit(task)
+        before = self.parked.get(row)
+        self.parked[row] = (
+            replace(before, task=task) if before is not None and _continues(before.task, task) else Parked(task)
+        )
+
+    def unpark(self, row: int) -> None:
+        """Go on with the interrupted task; `ConfigError` as from :meth:`enable`, then there is none."""
+        self.disable(row)
+        parked = self.parked.pop(row, None)
+        if parked is None:
+            return
+        self.enable(row, parked.task)
+        if not math.isnan(parked.since_s):
+            self.since_s[row] = parked.since_s
+        if parked.generator is not None:
+            self._generators[row] = parked.generator
+        kind = None if parked.task.law == CENTRALISED else getattr(registry.law_module(parked.task.law), "Memory", None)
+        if parked.memory is not None and kind is type(parked.memory).__mro__[1]:  # else the law was exchanged meanwhile
+            self._regroup()
+            self._remembered[row] = parked.memory, 0
+
+    def _own_memory(self, row: int) -> Any:
+        """Return a copy of what robot `row` remembers, as a memory of one robot; None: nothing."""
+        for group in self.groups():
+            if group.memory is not None and row in group.rows:
+                made = memory.allocate(type(group.memory).__mro__[1], 1)
+                memory.copy_row(group.memory, int(np.searchsorted(group.rows, row)), made, 0)
+                return made
+        return None
 
     def _start(self, row: int, task: Task) -> None:
         """Begin a task afresh: time, memory and random numbers."""

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 import structlog
 
-from fullswarm.agent.pose.pose_filter import UNSEEN_RAD, Fix, PoseEstimate, PoseFilter, Taken, breaks_of, fuse
+from fullswarm.agent.pose.pose_filter import UNSEEN_RAD, Distance, Fix, PoseEstimate, PoseFilter, Taken, breaks_of, fuse
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import POSE_SIGMA_M, Description, Fleet, FleetReading
 from fullswarm.kernels import Array, sum_of
@@ -45,6 +45,14 @@ class Estimator(Protocol):
 
     def take(self, row: int, fix: Fix) -> Taken:
         """Judge a fix of a robot whose driver senses no pose, and use it from the next update on."""
+        ...
+
+    def take_distance(self, row: int, measured: Distance) -> Taken:
+        """Judge a distance to a known place in the same way."""
+        ...
+
+    def insisted_s(self, row: int, source: str, at_s: float) -> float:
+        """Return for how long fixes of a source have agreed with each other and not with the pose; 0: they fit."""
         ...
 
     def known_sigma(self, row: int) -> tuple[float, float]:
@@ -117,6 +125,14 @@ class DirectEstimator:
     def take(self, row: int, fix: Fix) -> Taken:
         """Judge a fix of robot `row` and go on from it."""
         return self._filters[row].take(fix)
+
+    def take_distance(self, row: int, measured: Distance) -> Taken:
+        """Judge a distance of robot `row` and fuse it."""
+        return self._filters[row].take_distance(measured)
+
+    def insisted_s(self, row: int, source: str, at_s: float) -> float:
+        """Return for how long fixes of a source have agreed with each other and not with the pose; 0: they fit."""
+        return self._filters[row].insisted_s(source, at_s)
 
     def known_sigma(self, row: int) -> tuple[float, float]:
         """Return the standard deviations of position (m) and heading (rad); -1 when nothing is known."""
@@ -227,6 +243,14 @@ class EkfEstimator:
     def take(self, row: int, fix: Fix) -> Taken:
         """Judge a fix of robot `row` and fuse it."""
         return self._filters[row].take(fix)
+
+    def take_distance(self, row: int, measured: Distance) -> Taken:
+        """Judge a distance of robot `row` and fuse it."""
+        return self._filters[row].take_distance(measured)
+
+    def insisted_s(self, row: int, source: str, at_s: float) -> float:
+        """Return for how long fixes of a source have agreed with each other and not with the pose; 0: they fit."""
+        return self._filters[row].insisted_s(source, at_s)
 
     def known_sigma(self, row: int) -> tuple[float, float]:
         """Return the standard deviations of position (m) and heading (rad); -1 when nothing is known."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -193,6 +193,8 @@ SLACK_M, SLACK_RAD, SLACK_S = 0.5, 0.5, 0.5
 """No more way, turning and time than this excuses a fix that does not fit."""
 
 JUMP_M = 0.05
+RIVALS = 8
+"""Of so many sources at most, what does not fit is remembered."""
 UNKNOWN_M = 1000.0
 UNKNOWN_RAD = math.pi
 BREAK_RAD_S = 4.0
@@ -211,21 +213,45 @@ class Verdict(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """A pose that was measured from outside, and when, on this machine's clock."""
+    """A pose that was measured from outside, and when, on this machine's clock.
+
+    `covariance_m2`: (xx, xy, yy); None: `position_sigma_m` along both axes. `source`: fixes that do not fit are
+    compared with others of the same source. `may_insist`: enough of those that agree may move the pose to them.
+    """
 
     at_s: float
     pose: Pose
     position_sigma_m: float
     heading_sigma_rad: float
+    covariance_m2: tuple[float, float, float] | None = None
+    source: str = ""
+    may_insist: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Distance:
+    """How far the robot was from a place of known position, `up_m` above it, and when, on this machine's clock."""
+
+    at_s: float
+    x_m: float
+    y_m: float
+    up_m: float
+    distance_m: float
+    sigma_m: float
 
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """The verdict, what the fix says of the robot's pose by now, and how far the estimate has jumped."""
+    """The verdict, what the fix says of the robot's pose by now, and how far the estimate has jumped.
+
+    `residual_m`, `residual_rad`: of the fix against the estimate before it; NaN where there was none.
+    """
 
     verdict: Verdict
     pose: Pose
     jump_m: float = 0.0
+    residual_m: float = math.nan
+    residual_rad: float = math.nan
 
 
 @dataclass(slots=True)
@@ -265,6 +291,14 @@ def breaks_of(reading: FleetReading) -> list[int]:
     return [0] * len(reading.stamp_s) if breaks is None else breaks.tolist()
 
 
+def _measured(fix: Fix, pose: Row, heading_sigma_rad: float) -> PoseEstimate:
+    """Return what a fix says of a pose."""
+    seen = PoseEstimate.around(pose, fix.position_sigma_m, heading_sigma_rad)
+    if fix.covariance_m2 is not None:
+        seen.xx, seen.xy, seen.yy = fix.covariance_m2
+    return seen
+
+
 class PoseFilter:
     """Follows one robot.
 
@@ -297,7 +331,7 @@ class PoseFilter:
         self._breaks = 0
         self._twist: Row = [0.0, 0.0]
         self._slack = Slack(-math.inf)
-        self._rival: Rival | None = None
+        self._rivals: OrderedDict[str, Rival] = OrderedDict()  # by source
 
     @property
     def sigma(self) -> tuple[float, float]:
@@ -332,8 +366,8 @@ class PoseFilter:
                 self._history.clear()  # the odometry was reset: it says nothing about the way
             else:
                 self._move(self.estimate, self._slack, motion)
-                if self._rival is not None:
-                    self._move(self._rival.estimate, self._rival.slack, motion)
+                for rival in self._rivals.values():
+                    self._move(rival.estimate, rival.slack, motion)
             if broken and known:
                 self._doubt(elapsed_s)
         history = self._history
@@ -345,7 +379,7 @@ class PoseFilter:
     def _doubt(self, lost_s: float) -> None:
         """Widen the estimate by wherever the robot can have driven to in a time that the odometry has lost."""
         self._history.clear()
-        self._rival = None
+        self._rivals.clear()
         way_m = min(self._top_speed_m_s * lost_s, UNKNOWN_M)
         turn_rad = min(BREAK_RAD_S * lost_s, UNKNOWN_RAD)
         # Evenly spread to either side: the variance is a third of the square.
@@ -359,8 +393,9 @@ class PoseFilter:
     def begin_at(self, estimate: PoseEstimate) -> None:
         """Start anew from a pose that the driver has sensed; the odometry counts from its next reading."""
         self.estimate, self.anchored = estimate, True
-        self._odometry, self._rival, self._slack = None, None, Slack(-math.inf)
+        self._odometry, self._slack = None, Slack(-math.inf)
         self._history.clear()
+        self._rivals.clear()
 
     def _since(self, at_s: float) -> Displacement | None:
         """Return how the robot has moved from then until the last reading; None when that is forgotten."""
@@ -400,13 +435,16 @@ class PoseFilter:
             return Taken(Verdict.TOO_OLD, fix.pose)
         seen, wrong = self._moved(fix, motion), self._noise.variances(motion)
         now = Pose(seen.x_m, seen.y_m, seen.heading_rad)
-        if not self.anchored and not self._confirmed(seen, wrong, fix.at_s):
+        if not self.anchored and not self._confirmed(seen, wrong, fix):
             return Taken(Verdict.PENDING, now)
         if not self.anchored:
-            self.anchored, self._rival = True, None
+            agreed = self._rivals.pop(fix.source, None) is not None
+            self.anchored = True
             seen.widen(*wrong)
-            return Taken(Verdict.ACCEPTED, now, self._anchor(seen, fix.at_s))
+            return Taken(Verdict.ACCEPTED, now, self._anchor(seen, fix, headless=agreed))
         estimate = self.estimate
+        off_m = math.hypot(seen.x_m - estimate.x_m, seen.y_m - estimate.y_m)
+        off_rad = math.nan if seen.hh >= UNSEEN_RAD**2 else wrap(seen.heading_rad - estimate.heading_rad)
         estimate.widen(-wrong[0], -wrong[1])
         shared = fix.at_s < self._stamp_s and estimate.sound
         if not shared:  # newer than the reading, or older than the last estimate: errors of its own
@@ -414,27 +452,55 @@ class PoseFilter:
             seen.widen(*wrong)
         fits = self._fits(estimate, seen, self._slack.variances(fix.at_s))
         if fits:
-            self._rival, self._slack = None, Slack(fix.at_s)
+            self._rivals.pop(fix.source, None)
+            self._slack = Slack(fix.at_s)
             self._correct(estimate, seen)
         if shared:
             estimate.widen(*wrong)
             seen.widen(*wrong)
         if fits:
-            return Taken(Verdict.ACCEPTED, now)
-        if not self._insists(seen, fix.at_s):
-            return Taken(Verdict.OUTLIER, now)
-        return Taken(Verdict.REANCHORED, now, self._anchor(seen, fix.at_s))
+            return Taken(Verdict.ACCEPTED, now, 0.0, off_m, off_rad)
+        if not self._insists(seen, fix):
+            return Taken(Verdict.OUTLIER, now, 0.0, off_m, off_rad)
+        return Taken(Verdict.REANCHORED, now, self._anchor(seen, fix, headless=True), off_m, off_rad)
 
-    def _confirmed(self, seen: PoseEstimate, wrong: tuple[float, float], at_s: float) -> bool:
-        """Tell whether a first fix may be believed: it fits the stated start pose, or enough others."""
+    def take_distance(self, measured: Distance) -> Taken:
+        """Judge a distance to a known place and, if it fits, correct the estimate by it (extended Kalman filter).
+
+        The estimate has to be anchored. The distance is predicted from where the robot was when it was measured.
+        """
+        motion = self._since(measured.at_s)
+        estimate = self.estimate
+        if motion is None or not self.anchored:
+            verdict = Verdict.TOO_OLD if motion is None else Verdict.PENDING
+            return Taken(verdict, Pose(estimate.x_m, estimate.y_m, estimate.heading_rad))
+        residual_m, row, spread_m2 = predicted(estimate, measured, motion)
+        variance_m2 = spread_m2 + measured.sigma_m**2 + self._noise.variances(motion)[0]
+        slack_m2 = self._slack.variances(measured.at_s)[0]
+        gate2 = self._config.fix_gate_sigma**2
+        verdict = Verdict.OUTLIER
+        if residual_m**2 <= gate2 * (variance_m2 + slack_m2):
+            if residual_m**2 > gate2 * variance_m2:
+                estimate.widen(slack_m2, 0.0)
+                residual_m, row, spread_m2 = predicted(estimate, measured, motion)
+                variance_m2 += slack_m2
+            correct_along(estimate, row, residual_m, variance_m2)
+            # The slack stays: one distance says nothing of what lies across it.
+            verdict = Verdict.ACCEPTED
+        now = Pose(estimate.x_m, estimate.y_m, estimate.heading_rad)
+        return Taken(verdict, now, 0.0, abs(residual_m))
+
+    def _confirmed(self, seen: PoseEstimate, wrong: tuple[float, float], fix: Fix) -> bool:
+        """Tell whether a first fix may be believed: it fits the stated start pose, or enough others of its source."""
         if self._placed:
             seen.widen(*wrong)
             fits = distance(self.estimate, seen) <= self._config.fix_gate_sigma
             seen.widen(-wrong[0], -wrong[1])
             if fits:
+                self._rivals.pop(fix.source, None)
                 return True
         count = self._config.fix_first_count
-        return count <= 1 or (self._agrees(seen, at_s) and self._rival is not None and self._rival.count >= count)
+        return count <= 1 or (self._agrees(seen, fix) and self._rivals[fix.source].count >= count)
 
     def _fits(self, estimate: PoseEstimate, seen: PoseEstimate, slack: tuple[float, float]) -> bool:
         """Tell whether a fix may be true; widen the estimate where that takes slip or a push."""
@@ -450,39 +516,79 @@ class PoseFilter:
         """Return where a fix says that the robot is after `motion`, were that without error."""
         pose = [fix.pose.x_m, fix.pose.y_m, wrap(fix.pose.heading_rad)]
         if fix.heading_sigma_rad < UNSEEN_RAD:
-            seen = PoseEstimate.around(pose, fix.position_sigma_m, fix.heading_sigma_rad)
+            seen = _measured(fix, pose, fix.heading_sigma_rad)
             seen.move(motion)
             return seen
         # The own heading then, or the motion would be laid out in a direction that was never measured.
         pose[2] = wrap(self.estimate.heading_rad - motion.turn_rad)
-        seen = PoseEstimate.around(pose, fix.position_sigma_m, min(math.sqrt(self.estimate.hh), UNKNOWN_RAD))
+        seen = _measured(fix, pose, min(math.sqrt(self.estimate.hh), UNKNOWN_RAD))
         seen.move(motion)
         seen.hh, seen.xh, seen.yh = fix.heading_sigma_rad**2, 0.0, 0.0
         return seen
 
-    def _insists(self, seen: PoseEstimate, at_s: float) -> bool:
+    def _insists(self, seen: PoseEstimate, fix: Fix) -> bool:
         """Note a fix that does not fit; tell whether enough of them in a row agree with each other."""
-        if not self._agrees(seen, at_s) or self._rival is None:
+        if not self._agrees(seen, fix) or not fix.may_insist:
             return False
-        config, rival = self._config, self._rival
-        return rival.count >= config.fix_reanchor_count and at_s - rival.since_s >= config.fix_reanchor_s
+        config, rival = self._config, self._rivals[fix.source]
+        return rival.count >= config.fix_reanchor_count and fix.at_s - rival.since_s >= config.fix_reanchor_s
 
-    def _agrees(self, seen: PoseEstimate, at_s: float) -> bool:
-        """Note a fix; tell whether it agrees with the one before, else it is the first of others."""
-        rival = self._rival
-        if rival is None or not self._fits(rival.estimate, seen, rival.slack.variances(at_s)):
-            self._rival = Rival(seen, at_s, Slack(at_s))
+    def _agrees(self, seen: PoseEstimate, fix: Fix) -> bool:
+        """Note a fix; tell whether it agrees with the one of its source before, else it is the first of others."""
+        rival = self._rivals.get(fix.source)
+        if rival is None or not self._fits(rival.estimate, seen, rival.slack.variances(fix.at_s)):
+            self._rivals[fix.source] = Rival(seen, fix.at_s, Slack(fix.at_s))
+            self._rivals.move_to_end(fix.source)
+            if len(self._rivals) > RIVALS:
+                self._rivals.popitem(last=False)
             return False
-        rival.estimate, rival.slack = seen, Slack(at_s)
+        rival.estimate, rival.slack = seen, Slack(fix.at_s)
         rival.count += 1
         return True
 
-    def _anchor(self, seen: PoseEstimate, at_s: float) -> float:
-        """Believe a fix alone; return how far the pose has jumped, in metres."""
+    def insisted_s(self, source: str, at_s: float) -> float:
+        """Return for how long fixes of a source have agreed with each other and not with the estimate; 0: they fit."""
+        rival = self._rivals.get(source)
+        return at_s - rival.since_s if rival is not None and rival.count >= self._config.fix_reanchor_count else 0.0
+
+    def _anchor(self, seen: PoseEstimate, fix: Fix, headless: bool) -> float:
+        """Believe a fix alone; return how far the pose has jumped, in metres.
+
+        `headless`: the heading is unknown by now if the fix does not show it.
+        """
         old = self.estimate
         if seen.hh >= UNSEEN_RAD**2:
             seen.heading_rad = old.heading_rad
-            seen.hh = max(old.hh, UNKNOWN_RAD**2) if self._rival is not None else old.hh
+            seen.hh = max(old.hh, UNKNOWN_RAD**2) if headless else old.hh
             seen.xh = seen.yh = 0.0
-        self.estimate, self._rival, self._slack = seen, None, Slack(at_s)
+        self.estimate, self._slack = seen, Slack(fix.at_s)
+        self._rivals.clear()
         return math.hypot(seen.x_m - old.x_m, seen.y_m - old.y_m)
+
+
+def predicted(estimate: PoseEstimate, measured: Distance, motion: Displacement) -> tuple[float, Row, float]:
+    """Return by how much a distance is longer than the estimate has it, m; its gradient by x, y and heading; m².
+
+    The last is the variance of the distance by the covariance of the estimate.
+    """
+    heading_rad = estimate.heading_rad - motion.turn_rad
+    cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+    step_x = cos * motion.ahead_m - sin * motion.left_m
+    step_y = sin * motion.ahead_m + cos * motion.left_m
+    dx, dy = estimate.x_m - step_x - measured.x_m, estimate.y_m - step_y - measured.y_m
+    length_m = max(math.sqrt(dx * dx + dy * dy + measured.up_m**2), 1e-9)
+    gx, gy = dx / length_m, dy / length_m
+    gh = gx * step_y - gy * step_x
+    px = estimate.xx * gx + estimate.xy * gy + estimate.xh * gh
+    py = estimate.xy * gx + estimate.yy * gy + estimate.yh * gh
+    ph = estimate.xh * gx + estimate.yh * gy + estimate.hh * gh
+    return measured.distance_m - length_m, [gx, gy, gh], gx * px + gy * py + gh * ph
+
+
+def correct_along(estimate: PoseEstimate, row: Row, residual: float, variance: float) -> None:
+    """Correct an estimate by one number with this gradient (3), residual and variance of the residual."""
+    covariance = estimate.covariance()
+    gain = covariance @ np.array(row) / variance
+    mean = np.array(estimate.mean) + gain * residual
+    corrected = covariance - variance * np.outer(gain, gain)
+    estimate.set(mean, 0.5 * (corrected + corrected.T))

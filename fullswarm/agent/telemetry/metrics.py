@@ -163,6 +163,9 @@ class MetricSampler:
             if task is self._tasks[row]:
                 continue
             self._tasks[row] = task
+            if row in self._all_tasks.parked:  # it charges: it is neither at its goal nor stalled
+                self._goals[row, BUSY], self._goals[row, :2] = 0.0, math.nan
+                continue
             lasting = task is not None and task.request.expires_s <= 0.0
             self._goals[row, BUSY] = float(lasting)
             if task is not None and lasting:

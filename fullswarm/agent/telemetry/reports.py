@@ -10,6 +10,7 @@ import numpy as np
 
 from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.motion.robot_controller import CODES, MOVING, StopReason, explain_hazards
+from fullswarm.agent.orders.charging import Charging
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.pose.fixes import Fixes
@@ -19,7 +20,7 @@ from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.drivers.base import Fleet
 from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import Keys, cell_of
-from fullswarm.messages import ControlRequest, Halt, HealthReport, Result, RobotHealth, RobotStates
+from fullswarm.messages import AWAY, ControlRequest, Halt, HealthReport, Result, RobotHealth, RobotStates
 from fullswarm.perf.calculators import Calculators
 from fullswarm.reasons import NONE, Code, Reason, reason
 from fullswarm.runtime import LoopStats
@@ -77,13 +78,13 @@ class Reports:
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
         blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array, waiting: Waiting, settled_by: Index,
         message_note: Callable[[int], Reason],
-        results: Sequence[Result | None], halts: Sequence[Halt | None],
+        results: Sequence[Result | None], halts: Sequence[Halt | None], charging: Charging,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._blocked, self._ended = law_error, blocked, ended
         self._settled_by, self._message_note = settled_by, message_note
-        self._results, self._halts = results, halts
+        self._results, self._halts, self._charging = results, halts, charging
         self._waiting, self._now_s = waiting, -math.inf
         stated = np.minimum(limits, LARGEST_LIMITS)
         self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated[:, :3].T.tolist())
@@ -113,6 +114,8 @@ class Reports:
         if not any(sigma_m) and not any(sigma_rad):
             sigma_m, sigma_rad = [], []
         teams = self._tasks.team.tolist()
+        if self._charging.any:
+            teams = [AWAY if self._charging.away(row) else team for row, team in enumerate(teams)]
         aim_x_m, aim_y_m = self._aims(there)
         extra_m, extra_s = self._stop_extra
         for cell, rows in cells.items():
@@ -179,8 +182,10 @@ class Reports:
         if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
         if number == StopReason.MOVING:
-            why = self._blocked.get(row, NONE) or self._waiting.reason(row, self._now_s)
+            why = self._blocked.get(row, NONE) or self._waiting.reason(row, self._now_s) or self._charging.reason(row)
             return why or (reason(Code.SETTLED) if self._settled_by[row] else NONE)
+        if number == StopReason.IDLE and (why := self._charging.reason(row)):
+            return why
         if number in (StopReason.IDLE, StopReason.HAZARD):
             return self._ended[row] if number == StopReason.IDLE else NONE
         return reason(CODES[number])
@@ -190,6 +195,7 @@ class Reports:
         fleet, count = self._fleet, len(self._fleet.ids)
         reading = self._state.reading
         battery = reading.battery.tolist() if reading else [-1.0] * count
+        flows = reading.charging.tolist() if reading and reading.charging is not None else [-1] * count
         contacts = self._fixes.touches().tolist()
         stated = reading.position_sigma_m.tolist() if reading else [math.nan] * count
         sensed = np.isfinite(reading.pose[:, 0]).tolist() if reading else [False] * count
@@ -198,7 +204,7 @@ class Reports:
         deviation_m_s, deviation_m, filter_note = self._filter.report(self._tasks.filtered)
         standing = self._state.at_standstill.tolist()
         for row, robot in enumerate(fleet.ids):
-            task, description = self._tasks.of[row], fleet.descriptions[row]
+            task, description = self._tasks.asked(row), fleet.descriptions[row]
             request = task.request if task else NO_REQUEST
             pose = self._fixes.health(row, sensed[row])
             why, messages = self._why(row, reasons[row]), self._message_note(row)
@@ -222,12 +228,15 @@ class Reports:
                 fault=fleet.fault(row),
                 fault_code=fleet.fault_code(row),
                 battery=battery[row],
+                charging=None if flows[row] < 0 else bool(flows[row]),
+                charge=self._charging.report(row, self._now_s),
                 contacts=contacts[row],
                 collisions=collisions[row],
                 pose_source=pose.source,
                 position_sigma_m=pose.position_sigma_m if math.isnan(stated_m) else stated_m,
                 heading_sigma_rad=pose.heading_sigma_rad,
                 pose_note=pose.note,
+                pose_sources=pose.sources,
                 deviation_m_s=deviation_m_s[row],
                 deviation_m=deviation_m[row],
                 filter_note=filter_note[row],

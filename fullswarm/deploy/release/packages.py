@@ -31,6 +31,7 @@ from fullswarm.errors import ConfigError, MissingExtra, Unreachable, did_you_mea
 
 ONBOARD: Mapping[str, str] = {
     **{each.extra: each.robots for each in built_in() if each.extra and not each.simulated},
+    "gnss": 'a GNSS receiver on board, `fixes = "gnss:///dev/…"`',
     "core": "the behaviour `navigate` (brings SciPy and OSQP: 30 MB)",
     "keys": "a hub with certificates, `tls/…` (brings cryptography: 16 MB)",
 }

@@ -76,6 +76,12 @@ class CreateDriver(LinkedDriver[bytes]):
         """The robot looks for its dock by itself."""
         return self._own_session.docking
 
+    @property
+    def docked(self) -> bool:
+        """The robot stands on its Home Base, which has power."""
+        found = self._own_session.power
+        return found is not None and found.on_dock
+
     # ------------------------------------------------------------ what only a Create can
     def dock(self) -> None:
         """Let the robot look for its dock; it drives by itself then, and stays ACTIVE until it is there (READY).

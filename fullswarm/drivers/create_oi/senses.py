@@ -93,6 +93,13 @@ def power(sensors: Sensors) -> Power:
     )
 
 
+def charges(sensors: Sensors) -> bool | None:
+    """Tell whether current flows into the battery; None where the stream has no room for that."""
+    if sensors.charging_state is None:
+        return None
+    return sensors.charging_state in (Charging.RECONDITIONING, Charging.FULL, Charging.TRICKLE)
+
+
 def _thousandth(value: int | None) -> float | None:
     return None if value is None else value / 1000.0
 

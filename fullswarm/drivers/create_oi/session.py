@@ -40,7 +40,7 @@ from fullswarm.drivers.create_oi.protocol import (
     simple,
     stream,
 )
-from fullswarm.drivers.create_oi.senses import Banner, Power, Senses, power, stream_ids, wheel_speeds
+from fullswarm.drivers.create_oi.senses import Banner, Power, Senses, charges, power, stream_ids, wheel_speeds
 from fullswarm.drivers.create_oi.settings import Settings
 from fullswarm.drivers.linked import TICK_S, LinkSession
 from fullswarm.errors import DriverError
@@ -472,6 +472,7 @@ class Session(LinkSession[bytes]):
             hazards=self._senses.hazards,
             contacts=int(sensors.bump_left or sensors.bump_right),
             battery=sensors.battery,
+            charging=charges(sensors),
         )
 
     def _turn_wheels(self, wheels: tuple[int, int], now_s: float) -> None:

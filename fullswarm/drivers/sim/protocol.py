@@ -75,7 +75,19 @@ class Drive(Datagram, frozen=True, kw_only=True):
     active: bool
 
 
-class BodyReading(Datagram, frozen=True, kw_only=True, tag="sim.BodyReading/2"):
+class Scan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A scan of a body's range sensor: as :class:`~fullswarm.drivers.base.RangeScan`, its rays evenly spread."""
+
+    number: int  # grows by one with each scan
+    distances: bytes  # little-endian doubles; infinite and NaN as there
+    first_rad: float
+    step_rad: float
+    max_m: float
+    mount: Triple
+    sigma_m: float
+
+
+class BodyReading(Datagram, frozen=True, kw_only=True, tag="sim.BodyReading/3"):
     """What a body senses after a world step; obstacles are rows of six little-endian doubles, bodies of three."""
 
     time_s: float
@@ -86,6 +98,10 @@ class BodyReading(Datagram, frozen=True, kw_only=True, tag="sim.BodyReading/2"):
     hazards: int
     obstacles: bytes
     bodies: bytes | None = None
+    scan: Scan | None = None  # with each reading until there is a newer one: a datagram may be lost
+    senses_pose: bool = True  # False: `pose` is void
+    battery: float | None = None  # 0 to 1; None: the world has no batteries
+    charging: bool | None = None
 
 
 class Bye(Datagram, frozen=True, kw_only=True):

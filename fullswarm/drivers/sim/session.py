@@ -7,8 +7,10 @@ import math
 import secrets
 from dataclasses import replace
 
+import numpy as np
+
 from fullswarm.drivers.actuators import ActuatorValue
-from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
+from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, RangeScan, Reading, Twist
 from fullswarm.drivers.linked import LONGEST_WAIT_S, LinkSession, Odometer
 from fullswarm.drivers.sim import protocol
 from fullswarm.drivers.sim.settings import SimUrl
@@ -33,6 +35,8 @@ class Session(LinkSession[bytes]):
         self._world = ""  # the run of a world that has welcomed it
         self._odometer = Odometer()
         self._actuators: dict[str, str] = {}
+        self._scan = -1  # number of the newest scan
+        self._ranges: tuple[RangeScan, ...] = ()
         self._unread = False
         self._time_s = -math.inf  # of the world, in the newest reading
         self._received_s = self._ticked_s = now_s
@@ -130,19 +134,36 @@ class Session(LinkSession[bytes]):
         if welcome.world != self._world:
             # Another run of the world: its clock and its odometry start anew, and nothing drives on.
             self._world, self._time_s, self._odometer = welcome.world, -math.inf, Odometer()
+            self._scan = -1
             if self.state is Lifecycle.ACTIVE:
                 self.state = Lifecycle.READY
 
+    def _look(self, scan: protocol.Scan, now_s: float) -> None:
+        """Take a scan that is new."""
+        if scan.number <= self._scan:
+            return
+        distances_m = protocol.unpack_rows(scan.distances, 1)[:, 0].astype(np.float64)
+        angles_rad = scan.first_rad + scan.step_rad * np.arange(len(distances_m), dtype=np.float64)
+        self._scan = scan.number
+        self._ranges = (
+            RangeScan(now_s, angles_rad, distances_m, scan.max_m, Pose(*scan.mount), sigma_m=scan.sigma_m),
+        )  # fmt: skip
+
     def _take(self, body: protocol.BodyReading, now_s: float) -> None:
+        if body.scan is not None:
+            self._look(body.scan, now_s)
         reading = Reading(
             stamp_s=now_s,
             odometry=self._odometer.update(Pose(*body.odometry)),
             twist=Twist(*body.twist),
-            pose=Pose(*body.pose),
+            pose=Pose(*body.pose) if body.senses_pose else None,
             hazards=Hazard(body.hazards),
             contacts=body.contacts,
             obstacles=protocol.unpack_rows(body.obstacles, 6),
             bodies=None if body.bodies is None else protocol.unpack_rows(body.bodies, 3),
+            ranges=self._ranges,
+            battery=body.battery,
+            charging=body.charging,
         )
         if self._unread and self.reading is not None:  # a contact must not be over before it has been read
             contacts = max(reading.contacts, self.reading.contacts)

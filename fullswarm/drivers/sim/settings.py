@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
-from fullswarm.config import DEFAULT_WORLD, WorldConfig
+from fullswarm.config import DEFAULT_WORLD, RangesConfig, SightConfig, WorldConfig
 from fullswarm.drivers.actuators import word
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.ports import parse_address
@@ -23,7 +23,8 @@ OPTIONS = (
     "radius_m",
     "watchdog_s",
 )
-"""Options of the URL that are fields of `WorldConfig`; besides, ``sensing_m`` and `DELAYS`."""
+"""Options of the URL that are fields of `WorldConfig`; besides, `DELAYS`, ``sensing_m``, and ``ranges_m``: the world
+gives this robot a range sensor that reaches so far; ``pose=no``: it senses odometry alone."""
 DELAYS = ("overrun_s", "overrun_m", "dead_time_s")
 """Options of the URL that are fields of `Limits`."""
 
@@ -61,14 +62,21 @@ def parse_url(url: str) -> SimUrl:
     if parts.scheme != "sim" or not ROBOT_ID.match(robot):
         raise ConfigError("not a simulated robot", where=url, hint="write sim://r1 or sim://127.0.0.1:7450/r1")
     host, port = parse_address(address, where=url)
-    numbers = dict.fromkeys((*OPTIONS, *DELAYS, "sensing_m"), math.nan)
+    numbers = dict.fromkeys((*OPTIONS, *DELAYS, "sensing_m", "ranges_m"), math.nan)
+    senses_pose = True
     for key, text in parse_qsl(parts.query, keep_blank_values=True):
+        if key == "pose" and text in ("yes", "no"):
+            senses_pose = text == "yes"
+            continue
         if key not in numbers:
             raise ConfigError(f"unknown option '{key}'", where=url, hint=did_you_mean(key, numbers))
         numbers[key] = _positive(text, key, url)
-    sensing_m = numbers.pop("sensing_m")
+    sensing_m, ranges_m = numbers.pop("sensing_m"), numbers.pop("ranges_m")
     overrun_s, overrun_m, dead_time_s = (max(0.0, numbers.pop(key)) for key in DELAYS)  # NaN: 0
     config = WorldConfig().model_copy(update={key: value for key, value in numbers.items() if value > 0})
+    config = config.model_copy(update={"sight": SightConfig(pose=senses_pose)})
+    if ranges_m > 0.0:
+        config = config.model_copy(update={"ranges": RangesConfig(max_m=ranges_m)})
     sensing_m = sensing_m if sensing_m > 0 else SENSING_M
     description = describe(config, sensing_m)
     limits = replace(description.limits, overrun_s=overrun_s, overrun_m=overrun_m, dead_time_s=dead_time_s)
@@ -99,10 +107,11 @@ def describe(config: WorldConfig, sensing_m: float = SENSING_M) -> Description:
         model=config.engine,
         radius_m=config.declared_radius_m or config.radius_m,
         limits=_with_drivetrain(limits, config) if declared else limits,
-        senses_pose=True,
-        senses_obstacles=True,
+        senses_pose=config.sight.pose,
+        senses_obstacles=config.ranges is None,
         senses_bumps=True,
-        bodies_range_m=sensing_m if config.sight.bodies else 0.0,
+        bodies_range_m=sensing_m if config.sight.bodies and config.ranges is None else 0.0,
+        ranges_max_m=0.0 if config.ranges is None else config.ranges.max_m,
         watchdog_s=config.watchdog_s,
         actuators=ACTUATORS,
     )
@@ -139,8 +148,13 @@ def _options(description: Description) -> dict[str, float]:
 def url_for(config: WorldConfig, robot: str, sensing_m: float = SENSING_M) -> str:
     """Return the URL of a robot of this world; it names only what differs from the defaults."""
     usual, own = _options(describe(WorldConfig())), _options(describe(config.of_body(robot)))
-    options = {key: value for key, value in own.items() if value != usual[key]}
+    options: dict[str, float | str] = {key: value for key, value in own.items() if value != usual[key]}
     if sensing_m != SENSING_M:
         options["sensing_m"] = sensing_m
+    ranges = config.of_body(robot).ranges
+    if ranges is not None:
+        options["ranges_m"] = ranges.max_m
+    if not config.sight.pose:
+        options["pose"] = "no"
     place = "" if config.address == DEFAULT_WORLD else f"{config.address}/"
     return f"sim://{place}{robot}" + (f"?{urlencode(options)}" if options else "")

@@ -2,6 +2,7 @@
 
 - ``emulator.py``: the firmware at the end of a serial line, and what a person can do to the robot
 - ``firmware.py``: the robot's end of the Open Interface
+- ``home_base.py``: the Home Bases around it, and how it drives into one
 - ``hardware.py``: its hardware: encoders, battery, lamps, buttons, sensors
 """
 

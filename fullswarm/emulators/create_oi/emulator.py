@@ -6,7 +6,10 @@ long as they would on the wire; a reader that is late loses what follows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from fullswarm.clock import Clock
+from fullswarm.drivers.base import Pose
 from fullswarm.drivers.create_oi.protocol import CREATE2, PERIOD_S, Generation, Mode
 from fullswarm.emulators.base import Emulator, body_and_clock
 from fullswarm.emulators.create_oi.firmware import Firmware, Quirks
@@ -142,6 +145,10 @@ class CreateEmulator(Emulator):
     def set_dock(self, docked: bool) -> None:
         """Put the robot onto its home base or take it off."""
         self.firmware.dock = docked
+
+    def set_bases(self, bases: Sequence[Pose]) -> None:
+        """Put Home Bases around the robot, each given by the pose of a robot that stands on it."""
+        self.firmware.bases = tuple(bases)
 
     def set_overcurrent(self, left: bool = False, right: bool = False) -> None:
         """Let wheel motors draw too much."""

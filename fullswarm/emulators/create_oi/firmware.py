@@ -1,7 +1,8 @@
 """The robot's end of the Open Interface: bytes and time in, bytes out, over any body. No port, no thread.
 
 What it does with the wheels, the modes and the counters follows the specifications and the defects known of real
-robots. Cleaning and docking only drive straight on; the schedule and the clock are ignored.
+robots. Cleaning only drives straight on, and so does docking where there is no Home Base; the schedule and the clock
+are ignored.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from fullswarm.drivers.base import Pose
 from fullswarm.drivers.create_oi.protocol import (
     BAUD_CODES,
     CREATE1,
@@ -27,6 +29,7 @@ from fullswarm.drivers.create_oi.protocol import (
     frame_size,
 )
 from fullswarm.emulators.create_oi.hardware import Battery, Counters, Panel, Surroundings
+from fullswarm.emulators.create_oi.home_base import on_base, seek
 from fullswarm.simulation.bodies import Body, drive_wheels, wheels_rolled
 
 BANNER = (
@@ -101,6 +104,7 @@ class Firmware:
         self.drops = [False, False]  # left, right
         self.overcurrents = 0
         self.charger = self.dock = False
+        self.bases: tuple[Pose, ...] = ()  # of robots that stand on them; none: `dock` is switched by hand
         self.battery, self.panel, self.surroundings = Battery(), Panel(), Surroundings()
         self._body, self._quirks, self._encoders = body, quirks or Quirks(), encoders
         self._parser = CommandParser(generation)
@@ -121,6 +125,7 @@ class Firmware:
         self._script = b""
         self._wait: Wait | None = None
         self._wheels = (0, 0)  # as commanded, mm/s
+        self._seeking = False  # drives into its Home Base by itself
         self._buttons = 0  # as pressed at the last step
         self._velocity, self._radius = 0, 0
         self._stream: tuple[int, ...] = ()
@@ -172,6 +177,9 @@ class Firmware:
             out = BANNER if self.generation is not CREATE1 else b""
         self._measure(now_s)
         self._press(now_s)
+        if self.bases:
+            self.dock = on_base(self._body.state(), self.bases)
+        self._seek(now_s)
         self._guard(now_s)
         charges = (self.charger or self.dock) and self.mode in (Mode.OFF, Mode.PASSIVE)
         self.battery.step(now_s, charges, self._wheels != (0, 0))
@@ -256,6 +264,7 @@ class Firmware:
         elif op in (Op.START, Op.POWER, *_BY_ITSELF):
             self._enter(Mode.PASSIVE, now_s)
             self.asleep = op is Op.POWER
+            self._seeking = op is Op.DOCK and bool(self.bases)
             if op in _BY_ITSELF:
                 self._turn((OWN_SPEED_MM_S, OWN_SPEED_MM_S), now_s)
         elif op is Op.STOP:
@@ -339,6 +348,14 @@ class Firmware:
             stands = self._wheels == (0, 0)
             self._turn((OWN_SPEED_MM_S, OWN_SPEED_MM_S) if stands else (0, 0), now_s)
             self._awake_s = now_s
+
+    def _seek(self, now_s: float) -> None:
+        """Drive into the Home Base, if it was asked for and is somewhere."""
+        self._seeking = self._seeking and self.mode is Mode.PASSIVE and not self.dock and self._wheels != (0, 0)
+        if self._seeking:
+            speed_m_s, turn_rad_s = seek(self._body.state(), self.bases)
+            half = turn_rad_s * self.generation.wheel_base_m / 2.0
+            self._turn((round(1000.0 * (speed_m_s - half)), round(1000.0 * (speed_m_s + half))), now_s)
 
     def _turn_radius_m(self) -> float:
         left, right = self._wheels

@@ -42,6 +42,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     mover_events: int = 0  # a robot touched a mover by its own motion
     mover_hits: int = 0  # a mover touched a robot that stood or went away from it: no collision of the robot's
+    pushed_events: int = 0  # robots touched, one for each of the two, while a mover pushed one of them: likewise
     left_out: int = 0  # robots that took no part, being unfit for the request
 
     @property
@@ -163,6 +164,7 @@ class CellResult:
             "obstacle_collisions": sum(each.obstacle_events for each in outcomes) if known else None,
             "mover_collisions": sum(each.mover_events for each in outcomes) if known else None,
             "mover_hits": sum(each.mover_hits for each in outcomes) if known else None,
+            "pushed_collisions": sum(each.pushed_events for each in outcomes) if known else None,
             "pairs_touched": self.pairs_touched if known else None,
             "robots_touched": self.robots_touched if known else None,
             "colliding_seeds": self.colliding_seeds,
@@ -296,6 +298,8 @@ def closing(report: Report) -> str:
     counts = f"{report.trials_done} trials done, {report.trials_failed} failed, {report.collisions} collisions"
     pairs, robots = (sum(getattr(each, name) for each in report.cells) for name in ("pairs_touched", "robots_touched"))
     counts += f" ({pairs} pairs, {robots} robots touched)" * bool(report.collisions)
+    pushed = sum(each.pushed_events for cell in report.cells for _, each in cell.outcomes)
+    counts += f" (and {pushed} while a mover pushed one of the two)" * bool(pushed)
     lines = [
         f"{counts}, {above} commands above the limits, {apart} starts outside the safe set",
         f"{report.simulated_s:.0f} s simulated in {report.wall_s:.0f} s",

@@ -166,8 +166,9 @@ def _nearest(record: Record, outcome: Outcome, stored: Arrays) -> Iterator[str]:
     if outcome.pairs_touched is not None and outcome.pairs_touched != touched:
         yield f"pairs_touched is {outcome.pairs_touched}, but {touched} pairs came within {touch_m} m"
     if str(stored["source"]) == "world":
-        if (outcome.robot_events > 0) != (touched > 0):
-            yield f"robot_events is {outcome.robot_events}, but {touched} pairs of robots touched"
+        robot_events = outcome.robot_events + outcome.pushed_events
+        if (robot_events > 0) != (touched > 0):
+            yield f"robot_events and pushed_events are {robot_events} in all, but {touched} pairs of robots touched"
         walls = int((stored["wall_m"] <= np.float32(touch_m)).sum())
         if (outcome.obstacle_events > 0) != (walls > 0):
             yield f"obstacle_events is {outcome.obstacle_events}, but {walls} pairs of robot and obstacle touched"
@@ -189,7 +190,12 @@ def _compare(
     """Yield where a result and its recount contradict each other, or the evidence contradicts itself."""
     yield from counted.contradictions
     if str(stored["source"]) == "world":
-        for name in ("robot_events", "obstacle_events", "pairs_touched", "robots_touched"):
+        robots = outcome.robot_events + outcome.pushed_events
+        if not counted.robot_events.holds(robots):
+            yield f"robot_events and pushed_events are {robots} in all, recounted {counted.robot_events}"
+        if not counted.pushed_events.holds(outcome.pushed_events):
+            yield f"pushed_events is {outcome.pushed_events}, recounted {counted.pushed_events}"
+        for name in ("obstacle_events", "pairs_touched", "robots_touched"):
             said, of = getattr(outcome, name), getattr(counted, name)
             if said is not None and not of.holds(said):
                 yield f"{name} is {said}, recounted {of}"

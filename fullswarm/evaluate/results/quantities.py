@@ -70,6 +70,7 @@ def _of_outcome(outcome: Outcome | None) -> dict[str, float]:
         "obstacle_events": float(outcome.obstacle_events),
         "mover_events": float(outcome.mover_events),
         "mover_hits": float(outcome.mover_hits),
+        "pushed_events": float(outcome.pushed_events),
         "arrived": float(outcome.arrived),
         "arrived_fraction": outcome.arrived / outcome.robots if outcome.robots else 0.0,
         "all_arrived": float(all_arrived),

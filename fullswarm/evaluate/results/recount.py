@@ -62,6 +62,7 @@ class Recount:
     robot_events: Range = field(default_factory=Range)
     obstacle_events: Range = field(default_factory=Range)
     mover_contacts: Range = field(default_factory=Range)  # whoever brought them about
+    pushed_events: Range = field(default_factory=Range)  # of `robot_events`, those of pairs that a mover had touched
     pairs_touched: Range = field(default_factory=Range)
     robots_touched: Range = field(default_factory=Range)
     above_limits: int = 0
@@ -144,6 +145,7 @@ class Touches:
         shape = motion.steps, motion.count
         # With robots, with obstacles, with movers.
         self.sure, self.maybe = (tuple(np.zeros(shape, bool) for _ in range(3)) for _ in range(2))
+        self.met: list[tuple[int, int, int]] = []  # step and robots, certain or not
         self.pairs: set[tuple[int, int]] = set()
         self.pairs_maybe: set[tuple[int, int]] = set()
         self.undecided = 0
@@ -168,6 +170,7 @@ class Touches:
                 (self.sure if sure else self.maybe)[kind][s, each] = True
             if j >= 0:
                 (self.pairs if sure else self.pairs_maybe).add((min(i, j), max(i, j)))
+                self.met.append((s, min(i, j), max(i, j)))
 
     def _text(self, step: int, one: int, other: int, gap_m: float) -> str:
         beyond = -1 - other - self._obstacles
@@ -195,6 +198,7 @@ def recount(stored: Mapping[str, NDArray[Any]]) -> Recount:
     found.time_to_contact_s = soonest.least_s, soonest.most_s
     _movers(motion, stored, touches)
     _count(motion, touches, found)
+    _count_pushed(motion, touches, found)
     _check_ways(motion, touches, names, found)
     _commands(stored, names, found)
     _arrivals(motion, stored, found)
@@ -394,6 +398,28 @@ def _count(motion: Motion, touches: Touches, found: Recount) -> None:
     found.robots_touched = Range(int(sure.sum()), int((sure | maybe).sum()))
     found.undecided = touches.undecided
     found.contradictions += touches.unrecorded[:SAID]
+
+
+def _count_pushed(motion: Motion, touches: Touches, found: Recount) -> None:
+    """Count robots' meetings in whose first step one of the two was, or had been for at most `FREE_S`, at a mover.
+
+    Where it is not certain who touched, from none to all may be.
+    """
+    by_mover = touches.sure[2] | touches.maybe[2]
+    window = int(FREE_S / motion.step_s + TOO_FEW)
+    met: dict[int, dict[int, list[int]]] = {}
+    for step, one, other in touches.met:
+        for robot in (one, other):
+            met.setdefault(robot, {}).setdefault(step, []).extend((one, other))
+    pushed = 0
+    for steps in met.values():
+        last = -window - 1
+        for step in sorted(steps):
+            if step - last > window:
+                pushed += bool(by_mover[max(0, step - window) : step + 1, steps[step]].any())
+            last = step
+    certain = not (touches.maybe[0].any() or touches.maybe[2].any())
+    found.pushed_events = Range(pushed, pushed) if certain else Range(0, found.robot_events.most)
 
 
 def _check_ways(motion: Motion, touches: Touches, names: list[str], found: Recount) -> None:

@@ -13,6 +13,7 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``log.py``       the log: requests and outcomes, leases, changes of hub, core and robots
 ``stops.py``     tracks e-stops and stops: which robots have confirmed
 ``missions.py``  tracks missions: the newest state of each
+``cameras.py``   tracks the cameras that see the robots, and encodes their pictures
 ``study.py``     conducts a trial of a human-swarm study: phases, probes, questionnaire, log of the input
 
 The server knows no robots, and serves the runtime of the nodes on its own loop, without a further thread:
@@ -37,6 +38,7 @@ of ``index.html`` and a line in ``main.js``:
 ``fleet.js``      the table of robots and the groups
 ``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters; ``terms.js``: team, needs and roles
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
+``camera.js``     the pictures of the cameras
 ``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers

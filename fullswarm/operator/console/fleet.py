@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fullswarm.messages import RobotHealth, Summary
-from fullswarm.operator.robot_state import advise, row_state
+from fullswarm.operator.robot_state import advise, pose_text, row_state
 from fullswarm.operator.view import RobotRow, Snapshot, memory_text
 
 CORE = "core"
@@ -53,6 +53,19 @@ def fleet(seen: Snapshot, now_s: float) -> dict[str, Any]:
         "nodes": [{"node": node.node, "age_s": round(node.age_s, 2), "active": node.active} for node in seen.nodes],
         "robots": [_robot(row) for row in seen.robots],
         "missing": seen.missing,
+        "docks": [
+            {
+                "dock": each.dock,
+                "x": round(each.x_m, 3),
+                "y": round(each.y_m, 3),
+                "heading": round(each.heading_rad, 3),
+                "approach_m": each.approach_m,
+                "robot": each.robot,
+                "phase": each.phase,
+                "reason": each.reason,
+            }
+            for each in seen.docks
+        ],
         "silent": seen.silent,
     }
 
@@ -89,6 +102,7 @@ def _robot(row: RobotRow) -> dict[str, Any]:
         "radius_m": _finite(row.radius_m),
         "pose_source": health.pose_source,
         "pose_note": health.pose_note,
+        "pose_by": pose_text(health),
         "deviation_m_s": _finite(health.deviation_m_s),
         "filter_note": health.filter_note,
         "capabilities": [] if row.profile is None else row.profile.capabilities,

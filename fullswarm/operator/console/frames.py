@@ -115,11 +115,17 @@ class Study(Frame, frozen=True, kw_only=True):
     pairs: Annotated[tuple[tuple[Name, Name], ...], Meta(max_length=15)] = ()
 
 
+class Watch(Frame, frozen=True, kw_only=True):
+    """Begin or end to look at the cameras' pictures."""
+
+    on: bool
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
 
-Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Ping
+Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Ping
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):

@@ -15,6 +15,7 @@ from fullswarm.clock import clock_id
 from fullswarm.keys import Keys
 from fullswarm.messages import (
     BehaviourRequest,
+    CameraPicture,
     CoverageMeasurement,
     EStop,
     EStopReceipt,
@@ -29,6 +30,7 @@ from fullswarm.messages import (
 )
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console import fleet, frames
+from fullswarm.operator.console.cameras import Cameras
 from fullswarm.operator.console.fleet import CHART_NAMES, CHART_RATE_HZ, Charts
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, for_page, named
 from fullswarm.operator.console.map import TRAIL_RATE_HZ, Coverage, Goals, HeldBack, Obstacles, Trails
@@ -104,6 +106,7 @@ class Gateway:
         self._coverage, self._obstacles, self._held_back = Coverage(), Obstacles(), HeldBack()
         self._estops, self._stops = EStopTracker(scheduler, self.view.present, self._name_of), StopTracker()
         self._leases, self._missions = Leases(leases=()), MissionBoard()
+        self._cameras = Cameras()
         self._subscriptions = [
             bus.subscribe(keys.behaviour_request, BehaviourRequest, self._on_request),
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
@@ -112,6 +115,7 @@ class Gateway:
             bus.subscribe(keys.estop_receipt(), EStopReceipt, self._on_receipt),
             bus.subscribe(keys.leases, Leases, self._on_leases),
             bus.subscribe(keys.mission_status, MissionStatus, self._on_mission),
+            bus.subscribe(keys.camera(), CameraPicture, self._on_camera, latest=True),
             bus.subscribe(keys.reload(), FileReload, self._on_reload),
             bus.subscribe(keys.intervention(), Interventions, self._on_intervention, latest=True),
             bus.subscribe(keys.obstacles(), SeenObstacles, self._on_obstacles, latest=True),
@@ -221,6 +225,7 @@ class Gateway:
             "filter": lambda: self._held_back.shown(now_s),
             "coverage": self._coverage.shown,
             "missions": lambda: self._missions.shown(now_s),
+            "cameras": self._cameras.shown,
             "estop": self._estops.shown,
             "study": lambda: self._study_frame(session),
         }
@@ -307,6 +312,10 @@ class Gateway:
             self._missions.changed = False
             with self._drawing("missions"):
                 self._send(self._missions.shown(now_s))
+        if self._cameras.changed:
+            self._cameras.changed = False
+            with self._drawing("cameras"):
+                self._send(self._cameras.shown())
         if "world" in changed:
             with self._drawing("world"):
                 self._send({"t": "world", **self._world_frame()})
@@ -340,6 +349,7 @@ class Gateway:
         self._forget_sessions(self._scheduler.now_s())
         self._missions.expire(self._scheduler.now_s())
         self._obstacles.sweep(self._scheduler.now_s())
+        self._cameras.expire(self._scheduler.now_s())
         if self._obstacles.changed:
             self._obstacles.changed = False
             with self._drawing("obstacles"):
@@ -482,6 +492,15 @@ class Gateway:
         with self._drawing("missions"):
             if text := self._missions.add(status, now_s):
                 self._log_entries.add(now_s, "mission", text, by=status.operator)
+
+    def _on_camera(self, message: CameraPicture) -> None:
+        with self._drawing("camera"):
+            frame = self._cameras.add(message, self._scheduler.now_s())
+            watchers = [each for session in self._sessions.values() for each in session.watchers]
+            if frame is not None and watchers:
+                text = frames.encode(frame)
+                for listener in watchers:
+                    listener.put(f"picture {message.camera}", text)
 
     def _on_reload(self, message: FileReload) -> None:
         with self._drawing("log"):

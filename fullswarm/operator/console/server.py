@@ -230,6 +230,8 @@ NEWEST_WINS = frozenset(
     {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop", "study"}
 )
 """Frames that are complete: a page that was busy needs only the last one."""
+PICTURES = "picture "
+"""How the kinds of pictures begin: of each camera the newest wins."""
 LONGEST = 1024
 """Number of other frames that may wait; a page that is further behind is too slow."""
 
@@ -255,7 +257,7 @@ class Outbox:
         """Keep a frame until it can be sent."""
         if self.overrun:
             return
-        if kind in NEWEST_WINS:
+        if kind in NEWEST_WINS or kind.startswith(PICTURES):
             self._newest[kind] = text
         elif len(self._queue) < LONGEST:
             self._queue.append(text)

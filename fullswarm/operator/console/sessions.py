@@ -72,6 +72,7 @@ class OperatorSession:
     def __init__(self, context: ConsoleContext, key: str, source: str, name: str, *, observer: bool = False) -> None:
         self.key, self.source, self.name, self.observer = key, source, name, observer
         self.listeners: list[Listener] = []
+        self.watchers: list[Listener] = []  # of them, those that look at cameras
         self._context = context
         self._operator = Operator(context.bus, context.keys, context.scheduler, source, name=name, clock=clock_id())
         self._leases = LeaseHolder(context.bus, context.keys, context.scheduler, name, on_lost=self._lost)
@@ -88,8 +89,9 @@ class OperatorSession:
     # ---------------------------------------------------------------- pages
     def leave(self, listener: Listener) -> None:
         """Remove a page; what it drove stops at once."""
-        if listener in self.listeners:
-            self.listeners.remove(listener)
+        for pages in (self.listeners, self.watchers):
+            if listener in pages:
+                pages.remove(listener)
         if self._driver is listener or not self.listeners:
             self._blocked = ""
             self._release()
@@ -113,6 +115,8 @@ class OperatorSession:
         ref = command.ref
         if isinstance(command, frames.Ping):
             return Answer(ref=ref)
+        if isinstance(command, frames.Watch):
+            return self._watch_cameras(ref, command.on, listener)
         if self._context.read_only:
             return Answer(ref=ref, ok=False, reason=READ_ONLY)
         if self.observer:
@@ -127,6 +131,16 @@ class OperatorSession:
         if desk is not None:
             desk.log(command, self.key)  # afterwards: nothing may delay a stop
         return answer
+
+    def _watch_cameras(self, ref: int, on: bool, listener: Listener) -> Answer:
+        """Begin or end to send a page the cameras' pictures; who only looks on may look."""
+        if self._context.study is not None:
+            return Answer(ref=ref, ok=False, reason="cameras are not shown in a study")
+        if listener in self.watchers:
+            self.watchers.remove(listener)
+        if on and listener in self.listeners:
+            self.watchers.append(listener)
+        return Answer(ref=ref)
 
     def _carry_out(self, command: frames.Command, listener: Listener) -> Answer:
         ref = command.ref

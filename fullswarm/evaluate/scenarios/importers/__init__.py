@@ -8,6 +8,7 @@ and YAML are read by defusedxml and PyYAML's safe loader, of the extra [experime
 ``stage.py``   Stage worlds, with what they include and their bitmaps
 ``menge.py``   Menge crowd scenes (XML)
 ``irsim.py``   IR-SIM worlds (YAML)
+``ros_map.py`` Maps of ROS's map_server (YAML and a picture)
 ``draft.py``   collects what an importer finds, and converts it to a scenario: shapes become boxes
 ``files.py``   reads files: bytes, XML with line numbers, numbers; errors that name the line
 """
@@ -20,14 +21,22 @@ from pathlib import Path
 from types import MappingProxyType
 
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.scenarios.importers import argos, irsim, menge, sdf, stage
+from fullswarm.evaluate.scenarios.importers import argos, irsim, menge, ros_map, sdf, stage
 from fullswarm.evaluate.scenarios.importers.draft import Imported
 from fullswarm.evaluate.scenarios.importers.files import read_text
+from fullswarm.maps.ros_map import is_ros_map
 
 __all__ = ["FORMATS", "Imported", "guess_format", "read_world"]
 
 FORMATS: Mapping[str, Callable[[Path], Imported]] = MappingProxyType(
-    {"sdf": sdf.read, "argos": argos.read, "stage": stage.read, "menge": menge.read, "irsim": irsim.read}
+    {
+        "sdf": sdf.read,
+        "argos": argos.read,
+        "stage": stage.read,
+        "menge": menge.read,
+        "irsim": irsim.read,
+        "map": ros_map.read,
+    }
 )
 
 _ROOTS = {
@@ -55,7 +64,7 @@ def guess_format(path: Path) -> str:
         element = _FIRST_ELEMENT.search(text)
         known = _ROOTS.get(element[1]) if element else None
     else:
-        known = _ENDINGS.get(path.suffix.lower())
+        known = "map" if is_ros_map(text) else _ENDINGS.get(path.suffix.lower())
     if known is None:
         raise ConfigError(
             "this is no world of a known format",

@@ -33,6 +33,7 @@ export function drawFloor(/** @type {Scene} */ scene, /** @type {{coverage: bool
     context.strokeRect(arena[0], arena[1], arena[2] - arena[0], arena[3] - arena[1]);
   }
   drawBoxes(scene);
+  drawDocks(scene);
   drawScale(scene);
 }
 
@@ -91,6 +92,40 @@ function drawBoxes({ context, view, colours, store }) {
     });
   }
   context.setLineDash([]);
+}
+
+/**
+ * A dock is a bracket before the robot that stands in it, with its way in as a dashed line; its name beside it.
+ * @param {Scene} scene
+ */
+function drawDocks({ context, view, dpr, colours, store }) {
+  const DEEP_M = 0.12, HALF_M = 0.2;
+  for (const { x, y, heading, approach_m, phase } of store.docks) {
+    context.strokeStyle = phase === "failed" || phase === "blocked" ? colours.alarm : colours.ink;
+    turned(context, x, y, heading, () => {
+      context.lineWidth = 3 / view.scale;
+      context.beginPath();
+      context.moveTo(HALF_M - DEEP_M, -HALF_M);
+      context.lineTo(HALF_M, -HALF_M);
+      context.lineTo(HALF_M, HALF_M);
+      context.lineTo(HALF_M - DEEP_M, HALF_M);
+      context.stroke();
+      context.lineWidth = 1 / view.scale;
+      context.setLineDash([4 / view.scale, 4 / view.scale]);
+      context.beginPath();
+      context.moveTo(-approach_m, 0);
+      context.lineTo(HALF_M - DEEP_M, 0);
+      context.stroke();
+      context.setLineDash([]);
+    });
+  }
+  context.setTransform(dpr, 0, 0, dpr, 0, 0);
+  context.fillStyle = colours.ink;
+  context.font = "12px system-ui, sans-serif";
+  for (const { dock, x, y, phase } of store.docks) {
+    const [left, top] = view.toScreen(x, y);
+    context.fillText(phase === "failed" || phase === "blocked" ? `${dock}: ${phase}` : dock, left + 8, top - 8);
+  }
 }
 
 /**

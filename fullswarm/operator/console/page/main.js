@@ -5,12 +5,13 @@
  * data      link.js (WebSocket), store.js (the newest of everything), tracks.js (positions between two states), types.d.ts
  * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js
  * panels    fleet.js (table, groups), panel.js (behaviours; field.js, forms.js), missions.js, charts.js, log.js, legend.js,
- *           banners.js, study.js (the dialogs of a study)
+ *           camera.js, banners.js, study.js (the dialogs of a study)
  * map       map.js (the loop), ground.js (below the robots), robots.js, sprites.js, tools.js, pointer.js, toolbar.js,
  *           viewport.js, geometry.js, palette.js, theme.js
  */
 
 import { Banners } from "./banners.js";
+import { CameraView } from "./camera.js";
 import { Charts } from "./charts.js";
 import { Commands } from "./commands.js";
 import { byId, setText } from "./dom.js";
@@ -56,6 +57,7 @@ new Legend(store);
 new Charts(store, theme);
 new LogView(store);
 new Missions({ store, commands });
+new CameraView({ store, link });
 new Study({ store, link, selection, map, tools });
 tabs();
 

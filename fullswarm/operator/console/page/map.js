@@ -84,7 +84,7 @@ export class SwarmMap {
 
   #listen() {
     const { store } = this;
-    for (const topic of /** @type {const} */ (["coverage", "obstacles"])) store.on(topic, () => this.touch(true));
+    for (const topic of /** @type {const} */ (["coverage", "obstacles", "docks"])) store.on(topic, () => this.touch(true));
     for (const topic of /** @type {const} */ (["states", "fleet", "filter", "goals", "robots"])) store.on(topic, () => this.touch());
     this.selection.on("change", () => this.touch());
     this.theme.on("change", () => this.#restyle());

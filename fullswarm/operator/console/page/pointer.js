@@ -168,6 +168,7 @@ export class Pointer {
 /** @param {Placed} placed */
 function hoverText({ id, info }) {
   const memory = info.memory && `remembers ${info.memory}`;
-  const parts = [id, info.state, info.behaviour, memory, info.filter_note, info.advice];
+  const pose = info.pose_by && `pose by ${info.pose_by}`;
+  const parts = [id, info.state, info.behaviour, memory, info.filter_note, info.advice, pose];
   return parts.filter(Boolean).join("\n");
 }

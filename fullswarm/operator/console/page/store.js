@@ -5,18 +5,20 @@ import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
-/** @import { Behaviour, Box, ChartRow, Coverage, Entry, Estop, Fleet, Goal, Hello, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, World } from "./types.d.ts" */
+/** @import { Behaviour, Box, Camera, ChartRow, Coverage, Dock, Entry, Estop, Fleet, Goal, Hello, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, World } from "./types.d.ts" */
 
 const LOG_KEPT = 500;
 const CHART_KEPT = 1200;
 
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
- * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study.
+ * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study,
+ * cameras, picture.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
- *   goals: Store["goals"], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
+ *   goals: Store["goals"], docks: Dock[], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
- *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study}>}
+ *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study,
+ *   cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string}}>}
  */
 export class Store extends Emitter {
   constructor() {
@@ -37,6 +39,7 @@ export class Store extends Emitter {
     this.core_age_s = /** @type {number | null} */ (null);
     this.nodes = /** @type {NodeState[]} */ ([]);
     this.missing = /** @type {string[]} */ ([]);
+    this.docks = /** @type {Dock[]} */ ([]);
     this.filter = /** @type {Map<string, [number, number, string]>} */ (new Map());
     this.goals = /** @type {Map<string, Goal>} */ (new Map());
     this.charts = /** @type {ChartRow[]} */ ([]);
@@ -133,10 +136,12 @@ export class Store extends Emitter {
     mission: (message) => this.emit("mission", message),
     lost: (message) => this.emit("lost", message),
     study: (message) => this.emit("study", message),
+    cameras: ({ cameras }) => this.emit("cameras", cameras),
+    picture: (message) => this.emit("picture", message),
   });
 
   /**
-   * @template {"filter" | "goals" | "coverage" | "obstacles" | "estop" | "stop" | "leases" | "missions"} T
+   * @template {"filter" | "goals" | "coverage" | "obstacles" | "estop" | "stop" | "leases" | "missions" | "docks"} T
    * @param {T} name
    * @param {Store[T]} value
    */
@@ -204,6 +209,8 @@ export class Store extends Emitter {
     this.core_age_s = message.core_age_s;
     this.nodes = message.nodes ?? [];
     this.missing = message.missing ?? [];
+    const docks = message.docks ?? [];
+    if (JSON.stringify(docks) !== JSON.stringify(this.docks)) this.#set("docks", docks);
     if (this.fleet.size !== known) this.emit("robots", null);
     this.emit("fleet", message);
   }

@@ -28,6 +28,7 @@ export interface Robot {
   battery: number | null;
   radius_m: number | null;
   filter_note: string;
+  pose_by: string;
   capabilities: string[];
   actuators: Record<string, string>;
   memory: string;
@@ -93,6 +94,17 @@ export interface NodeState {
   active: boolean;
 }
 
+export interface Dock {
+  dock: string;
+  x: number;
+  y: number;
+  heading: number; // of a robot that is docked there
+  approach_m: number;
+  robot: string;
+  phase: string;
+  reason: string;
+}
+
 export interface Fleet {
   t: "fleet";
   hub: boolean;
@@ -100,6 +112,7 @@ export interface Fleet {
   nodes: NodeState[];
   robots: Robot[];
   missing: string[];
+  docks?: Dock[];
 }
 
 export interface States {
@@ -226,6 +239,11 @@ export interface AnswerFrame {
   request_id: string;
 }
 
+export interface Camera {
+  name: string;
+  problem: string;
+}
+
 export interface StudyProbe {
   id: string;
   question: string;
@@ -267,6 +285,8 @@ export type Message =
   | { t: "missions"; missions: Mission[] }
   | MissionReply
   | Study
+  | { t: "cameras"; cameras: Camera[] }
+  | { t: "picture"; camera: string; jpeg: string }
   | Lost;
 
 declare global {

@@ -1,4 +1,4 @@
-"""The datagrams of motion capture: JSON in, sightings in metres and ENU out. Pure; ``docs/how-to-motion-capture.md``.
+"""JSON datagrams over UDP as a source: the format for systems without one of their own, and its port.
 
 A datagram is one object or a list of them::
 
@@ -8,63 +8,32 @@ A datagram is one object or a list of them::
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import urlsplit
 
 import msgspec
 
+from fullswarm.clock import Clock
 from fullswarm.errors import did_you_mean
 from fullswarm.geometry import wrap
+from fullswarm.localization.links import DatagramPort, PortLink
+from fullswarm.localization.sighting import UNSEEN_RAD, Convention, Refused, Sighting
+from fullswarm.localization.source import Receiver, Seen, Settings
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 FIELDS = (
     "robot", "name", "x", "y", "z", "heading", "heading_deg", "quaternion", "sigma_m", "sigma_rad", "time_s",
     "contacts", "tracked", "frame",
 )  # fmt: skip
 HEADINGS = ("heading", "heading_deg", "quaternion")
-UNSEEN_RAD = math.pi
-"""Standard deviation of a heading that was not given."""
-FAR_M = 1.0e5
-
-
-class Refused(Exception):
-    """A datagram, or one object of it, is invalid. `kind` has no numbers in it: each kind is logged once."""
-
-    def __init__(self, kind: str, what: str = "") -> None:
-        super().__init__(f"{kind}: {what}" if what else kind)
-        self.kind = kind
-
-
-@dataclass(frozen=True, slots=True)
-class Sighting:
-    """The content of one object. World frame, ENU."""
-
-    name: str
-    x_m: float
-    y_m: float
-    heading_rad: float
-    position_sigma_m: float
-    heading_sigma_rad: float
-    time_s: float | None  # the sender's clock
-    contacts: int
-    tracked: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """The conventions of a sender.
+    """Reads the datagrams of a sender with these conventions."""
 
-    Parameters
-    ----------
-    unit_m : length of the source's unit of x, y and z
-    y_up : the source's floor is x and -z, as in Motive, and a heading turns about y; else x and y, about z
-    sigma_m, sigma_rad : standard deviations where the source gives none
-    """
-
-    unit_m: float = 1.0
-    y_up: bool = False
-    sigma_m: float = 0.005
-    sigma_rad: float = 0.02
+    convention: Convention = field(default_factory=Convention)
 
     def read(self, data: bytes) -> list[Sighting | Refused]:
         """Return a sighting, or why it is none, for each object of a datagram."""
@@ -91,16 +60,15 @@ class Format:
             raise Refused("'tracked' is not true or false", repr(tracked))
         name = _name(found)
         if not tracked:
-            return Sighting(name, 0.0, 0.0, 0.0, 0.0, 0.0, None, 0, False)
+            return Sighting(name, 0.0, 0.0, 0.0, 0.0, 0.0, tracked=False)
+        usual = self.convention
         heading = self._heading(found)
-        sigma_rad = UNSEEN_RAD if heading is None else _positive(found, "sigma_rad", self.sigma_rad)
-        across = -_number(found, "z") if self.y_up else _number(found, "y")
-        x_m, y_m = _number(found, "x") * self.unit_m, across * self.unit_m
-        if max(abs(x_m), abs(y_m)) > FAR_M:
-            raise Refused("no place on a floor", f"({x_m:g}, {y_m:g}) m; is --unit right?")
+        sigma_rad = UNSEEN_RAD if heading is None else _positive(found, "sigma_rad", usual.sigma_rad)
+        across = -_number(found, "z") if usual.y_up else _number(found, "y")
+        x_m, y_m = usual.floor(_number(found, "x"), across)
         return Sighting(
-            name, x_m, y_m, wrap(heading or 0.0), _positive(found, "sigma_m", self.sigma_m), sigma_rad,
-            _number(found, "time_s") if found.get("time_s") is not None else None, _contacts(found), True,
+            name, x_m, y_m, wrap(heading or 0.0), _positive(found, "sigma_m", usual.sigma_m), sigma_rad,
+            _number(found, "time_s") if found.get("time_s") is not None else None, _contacts(found),
         )  # fmt: skip
 
     def _heading(self, found: dict[str, Any]) -> float | None:
@@ -118,14 +86,7 @@ class Format:
         """Return where the body's x axis points on the floor, from x, y, z, w."""
         if not (isinstance(parts, list) and len(parts) == 4 and all(_finite(each) for each in parts)):
             raise Refused("a quaternion is [x, y, z, w]", f"not {parts!r:.60}")
-        x, y, z, w = (float(each) for each in parts)
-        if abs(math.hypot(x, y, z, w) - 1.0) > 0.01:
-            raise Refused("a quaternion has length 1", f"not {parts!r:.80}")
-        ahead = 1.0 - 2.0 * (y * y + z * z)
-        left = 2.0 * (w * y - x * z) if self.y_up else 2.0 * (w * z + x * y)
-        if math.hypot(ahead, left) < 0.1:
-            raise Refused("the body's x axis points up or down", "turn the rigid body so that x points ahead")
-        return math.atan2(left, ahead)
+        return self.convention.yaw(*(float(each) for each in parts))
 
 
 def _name(found: dict[str, Any]) -> str:
@@ -162,3 +123,35 @@ def _contacts(found: dict[str, Any]) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= 1000:
         raise Refused("'contacts' is not a small whole number", f"{value!r:.40}")
     return value
+
+
+class JsonSource:
+    """``json://HOST:PORT``: listens there.
+
+    Raises
+    ------
+    ConfigError
+        The address is no address, taken, not ours, or not loopback.
+    """
+
+    sensor = "mocap"
+    hint = "is your program sending to this port?"
+
+    def __init__(self, settings: Settings, format_: Format, clock: Clock) -> None:
+        self._format = format_
+        listen = urlsplit(settings.url).netloc
+        port = DatagramPort(listen, settings.insecure_network, f"source {settings.url}")
+        self.address = f"udp {port.address}"
+        self._link = PortLink(port, clock)
+
+    def start(self, receiver: Receiver) -> None:
+        """Deliver to `receiver` from now on."""
+        self._link.start(receiver)
+
+    def read(self, content: bytes) -> Iterable[Seen]:
+        """Read one datagram."""
+        return self._format.read(content)
+
+    def close(self) -> None:
+        """Stop delivering."""
+        self._link.close()

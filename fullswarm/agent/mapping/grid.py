@@ -1,0 +1,146 @@
+"""The occupancy grid of one agent: log odds of each cell, from rays that end in it or pass through it.
+
+Bounded memory: one number per cell of the arena, a million cells at most (Moravec, Elfes, *High resolution maps from
+wide angle sonar*, 1985; the increments are those of a lidar whose distances are good to a cell).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.kernels import Array, Flags, Index
+from fullswarm.maps.boxes import boxes
+from fullswarm.maps.tiles import FREE, OCCUPIED, UNKNOWN, GridPlace, States
+
+HIT, MISS = 0.9, -0.5
+MOVING_HIT = 0.25
+"""Of a body that moves: where it stands for a second it becomes part of the map, what it passes through does not."""
+LEAST, MOST = -2.0, 2.5
+"""Bounds of the log odds: what was measured for an hour must be forgotten within a second once it is gone."""
+OCCUPIED_ABOVE, FREE_BELOW = 0.5, -0.6
+SETTLED_CELLS = 2
+"""A point so near an occupied cell belongs to it: noise must not look like motion."""
+SHORT_CELLS = 1.5
+"""A ray frees cells up to so far before its end."""
+
+
+class OccupancyGrid:
+    """Log odds over the arena.
+
+    Attributes
+    ----------
+    place : where the cells lie
+    odds : (rows, columns) log odds of being occupied; 0: nothing is known
+    changed : (tiles,) which tiles have got another state since the owner last reset this
+    """
+
+    def __init__(self, place: GridPlace) -> None:
+        self.place = place
+        self.odds = np.zeros((place.rows, place.columns), np.float32)
+        self.changed = np.zeros(place.tiles, bool)
+
+    def add(self, origin: Array, ends: Array, hits: Flags, moving: Flags) -> None:
+        """Take in one scan.
+
+        Parameters
+        ----------
+        origin : (2,) m, the sensor
+        ends : (k, 2) m, where each ray ended or was lost
+        hits : (k,) whether it ended at something; a ray that ended at a robot of the fleet only frees
+        moving : (k,) whether what it hit moves
+        """
+        odds = self.odds.reshape(-1)
+        firm = self.place.cells(ends[hits & ~moving])
+        firm = np.unique(firm[firm >= 0])
+        loose = self.place.cells(ends[hits & moving])
+        loose = np.setdiff1d(loose[loose >= 0], firm)
+        hit = np.concatenate([firm, loose])
+        free = np.setdiff1d(self._passed(origin, ends), hit, assume_unique=True)
+        touched = np.concatenate([hit, free])
+        before = _state(odds[touched])
+        odds[firm] = np.minimum(odds[firm] + HIT, MOST)
+        odds[loose] = np.minimum(odds[loose] + MOVING_HIT, MOST)
+        odds[free] = np.maximum(odds[free] + MISS, LEAST)
+        other = touched[_state(odds[touched]) != before]
+        if len(other):
+            across = self.place.tiles_across
+            side = self.place.columns // across
+            self.changed[other // (self.place.columns * side) * across + other % self.place.columns // side] = True
+
+    def clear(self, x_m: float, y_m: float, radius_m: float) -> None:
+        """Make the cells free whose middles are within a disc: a robot stands there."""
+        place = self.place
+        if not radius_m > 0.0:
+            return
+        reach = int(radius_m / place.cell_m) + 1
+        row, column = (int((at - low) / place.cell_m) for at, low in ((y_m, place.y_min), (x_m, place.x_min)))
+        rows = np.arange(max(0, row - reach), max(0, min(place.rows, row + reach + 1)))
+        columns = np.arange(max(0, column - reach), max(0, min(place.columns, column + reach + 1)))
+        off_x = place.x_min + (columns + 0.5) * place.cell_m - x_m
+        off_y = place.y_min + (rows + 0.5) * place.cell_m - y_m
+        inside = off_x[None, :] ** 2 + off_y[:, None] ** 2 <= radius_m * radius_m
+        part = self.odds[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if len(rows) and len(columns) else None
+        if part is not None:
+            part[inside] = LEAST
+
+    def _passed(self, origin: Array, ends: Array) -> Index:
+        """Return the cells that rays passed through, each once."""
+        cell_m = self.place.cell_m
+        way = ends - origin
+        length_m = np.hypot(way[:, 0], way[:, 1])
+        steps = int(max(0.0, float(length_m.max(initial=0.0))) / cell_m) + 1
+        along_m = (np.arange(steps) + 0.5) * cell_m
+        share = along_m[None, :] / np.maximum(length_m, 1e-9)[:, None]
+        inside = along_m[None, :] < (length_m - SHORT_CELLS * cell_m)[:, None]
+        column = ((origin[0] - self.place.x_min) + share * way[:, 0, None]) / cell_m
+        row = ((origin[1] - self.place.y_min) + share * way[:, 1, None]) / cell_m
+        inside &= (column >= 0.0) & (column < self.place.columns) & (row >= 0.0) & (row < self.place.rows)
+        found = row[inside].astype(np.int64) * self.place.columns + column[inside].astype(np.int64)
+        return np.unique(found)
+
+    def appeared(self, points: Array) -> Flags:
+        """Tell which points (k, 2) lie where all was free, with nothing occupied around: what is there has moved."""
+        cells = self.place.cells(points)
+        found = np.zeros(len(points), bool)
+        odds, columns = self.odds.reshape(-1), self.place.columns
+        known = np.flatnonzero(cells >= 0)
+        free = known[odds[cells[known]] < FREE_BELOW]
+        if not len(free):
+            return found
+        reach = np.arange(-SETTLED_CELLS, SETTLED_CELLS + 1)
+        around = (reach[:, None] * columns + reach[None, :]).ravel()
+        near = np.clip(cells[free, None] + around[None, :], 0, len(odds) - 1)
+        found[free] = ~(odds[near] > OCCUPIED_ABOVE).any(axis=1)
+        return found
+
+    def states(self) -> States:
+        """Return the state of each cell, (rows, columns)."""
+        return _state(self.odds)
+
+    def near(self, x_m: float, y_m: float, reach_m: float, also: Index) -> Array:
+        """Return boxes (k, 6) that cover the occupied cells within a square around a place.
+
+        Parameters
+        ----------
+        also : cells that count as occupied whatever the grid says
+        """
+        place, reach = self.place, int(reach_m / self.place.cell_m) + 1
+        row, column = (int((at - low) / place.cell_m) for at, low in ((y_m, place.y_min), (x_m, place.x_min)))
+        rows = slice(max(0, row - reach), max(0, min(place.rows, row + reach + 1)))
+        columns = slice(max(0, column - reach), max(0, min(place.columns, column + reach + 1)))
+        occupied = self.odds[rows, columns] > OCCUPIED_ABOVE
+        also_rows, also_columns = also // place.columns - rows.start, also % place.columns - columns.start
+        inside = (also_rows >= 0) & (also_rows < occupied.shape[0])
+        inside &= (also_columns >= 0) & (also_columns < occupied.shape[1])
+        occupied[also_rows[inside], also_columns[inside]] = True
+        return boxes(
+            occupied, place.x_min + columns.start * place.cell_m, place.y_min + rows.start * place.cell_m, place.cell_m
+        )  # fmt: skip
+
+
+def _state(odds: NDArray[np.float32]) -> States:
+    found = np.full(odds.shape, UNKNOWN, np.uint8)
+    found[odds < FREE_BELOW] = FREE
+    found[odds > OCCUPIED_ABOVE] = OCCUPIED
+    return found

@@ -1,0 +1,77 @@
+"""A robot on a known map: how well it is located, and whether it is found again after it was carried."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from fullswarm.agent.pose.map_field import MapField
+from fullswarm.agent.pose.map_localizer import MapLocalizer
+from fullswarm.agent.pose.pose_filter import OdometryNoise, between
+from fullswarm.evaluate.scenarios import boxes_for, load_scenario
+from fullswarm.kernels import Array
+
+ANGLES = np.linspace(-math.pi, math.pi, 180, endpoint=False)
+MAX_M, PERIOD_S = 12.0, 0.1
+WALLS = [(-0.5, 10.0, 0.5, 20.0), (20.5, 10.0, 0.5, 20.0), (10.0, -0.5, 20.0, 0.5), (10.0, 20.5, 20.0, 0.5)]
+
+
+def gap(points: Array, boxes: Array) -> Array:
+    """Distance of points to the nearest upright box, written down anew."""
+    off_x = np.abs(points[:, None, 0] - boxes[:, 0]) - boxes[:, 2]
+    off_y = np.abs(points[:, None, 1] - boxes[:, 1]) - boxes[:, 3]
+    outside = np.hypot(np.maximum(off_x, 0.0), np.maximum(off_y, 0.0))
+    found: Array = (outside + np.minimum(np.maximum(off_x, off_y), 0.0)).min(axis=1)
+    return found
+
+
+def scan(pose: Array, boxes: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Where rays end and what they pass, in the robot's frame: by walking along them, with noise and dropouts."""
+    towards = np.column_stack([np.cos(pose[2] + ANGLES), np.sin(pose[2] + ANGLES)])
+    gone = np.zeros(len(ANGLES))
+    for _ in range(60):
+        gone += np.maximum(gap(pose[:2] + gone[:, None] * towards, boxes), 0.0)
+    gone += rng.normal(0.0, 0.01, len(ANGLES))
+    hit = (gone < MAX_M) & (rng.random(len(ANGLES)) > 0.01)
+    ends = np.minimum(gone, MAX_M)[:, None] * np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
+    return ends[hit], np.vstack([0.4 * ends[::6], 0.8 * ends[::6]])
+
+
+@pytest.mark.parametrize(("world", "carried_to"), [("uniform", (14.0, 3.0, 2.0)), ("concave", (16.0, 4.0, -1.0))])
+def test_a_robot_is_located_within_5_cm_and_found_again_within_20_s(
+    world: str, carried_to: tuple[float, float, float]
+) -> None:
+    scenario, rng = load_scenario(world), np.random.default_rng(5)
+    given = np.array([(x, y, w / 2, h / 2) for x, y, w, h, _ in boxes_for(scenario, 0)])
+    boxes = np.vstack([given, WALLS])
+    field = MapField(np.column_stack([given, np.zeros((len(given), 2))]), scenario.bounds_m, walls=True)
+    pose, odometry = np.array([3.0, 10.0, 0.5]), [0.0, 0.0, 0.0]
+    robot = MapLocalizer(field, 0.17, OdometryNoise(0.02, 0.03), np.random.default_rng(1), (pose.copy(), 0.05, 0.05))
+    errors_m: list[float] = []
+    found_s = None
+    for step in range(320):
+        if step == 120:
+            pose = np.array(carried_to)
+        v, w = (0.0, 0.0) if robot.lost or step >= 120 else (0.3, 0.4 * math.sin(0.05 * step))
+        before = list(odometry)
+        for at, share_v, share_w in ((pose, 1.0, 1.0), (odometry, 1.05, 0.96)):  # its wheels are not as stated
+            middle = at[2] + 0.5 * share_w * w * PERIOD_S
+            at[0] += share_v * v * PERIOD_S * math.cos(middle)
+            at[1] += share_v * v * PERIOD_S * math.sin(middle)
+            at[2] += share_w * w * PERIOD_S
+        robot.move(between(before, odometry, PERIOD_S))
+        place = robot.see(*scan(pose, boxes, rng), PERIOD_S)
+        if place is None:
+            continue
+        off_m = math.hypot(place.pose[0] - pose[0], place.pose[1] - pose[1])
+        assert off_m < 0.15  # no fix is wrong, least of all after it was carried
+        errors_m.append(off_m)
+        if step >= 120:
+            found_s = PERIOD_S * (step - 120)
+            break
+    assert len(errors_m) > 100
+    assert math.sqrt(float(np.mean(np.square(errors_m)))) <= 0.05
+    assert found_s is not None
+    assert found_s <= 20.0
