@@ -1,7 +1,8 @@
 """Lets robots settle that cannot get nearer to their goals: they stand, report so, and go on when there is room.
 
 A goal with room for one robot and a request to ten leaves nine that press against each other, and sidestep, for ever.
-A robot settles when it is slow and
+A robot settles when it is slow, or has come no nearer for `WAIT_S` although it moves, as one that circles those that
+arrived before it, and
 
 - something is in its way, and every place that is nearer to its goal is taken by a robot at standstill: at once; or
 - every place in its goal's disc is taken or enclosed by robots at standstill, and it has come no nearer for `WAIT_S`;
@@ -268,7 +269,7 @@ def rule_for(
     i: int, x: float, y: float, ux: float, uy: float, goal_x: float, goal_y: float, reach_m: float, waited_s: float,
     radius: float, clearance_m: float, near: Nearby, arena: Arena,
 ) -> int:  # fmt: skip
-    """Return by which rule robot `i`, slow and without progress for `waited_s`, settles now; see the module."""
+    """Return by which rule robot `i`, slow or without progress for `waited_s`, settles now; see the module."""
     left_m = math.hypot(goal_x - x, goal_y - y)
     fit_m = clearance_m + FIT_M
     if left_m <= WINDOW_M:
@@ -354,7 +355,7 @@ def settle(
                     rule[i] = NOT_SETTLED
                     nearer_s[i] = now_s
                     room_s[i] = min(2.0 * room_s[i], LONGEST_ROOM_S)
-            elif math.fabs(twist[i, 0]) <= SLOW_SHARE * speed_limit[i]:
+            elif math.fabs(twist[i, 0]) <= SLOW_SHARE * speed_limit[i] or now_s - nearer_s[i] >= WAIT_S:
                 rule[i] = rule_for(
                     i, pose[i, 0], pose[i, 1], ux, uy, goal_x, goal_y, reach_m[i], now_s - nearer_s[i], radius[i],
                     clearance_m, near, arena,
