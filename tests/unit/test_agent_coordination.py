@@ -286,3 +286,31 @@ def test_two_that_meet_head_on_pass_without_stopping_by_default_and_not_when_it_
     assert (touched, touched_too) == (0, 0)
     assert with_s < 10.5, "4 m at 0.5 m/s, the last of it slower"
     assert without_s > with_s + 2.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_two_with_one_goal_come_to_rest_one_at_it_and_one_beside(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    angles = random.uniform(-math.pi, math.pi, 3) * 0.2 + 2.0 * math.pi / 3.0 * np.arange(3)
+    starts = 4.0 + np.stack([np.cos(angles), np.sin(angles)], axis=1) * random.uniform(1.0, 2.5, (3, 1))
+    poses = np.column_stack([starts, random.uniform(-math.pi, math.pi, 3)])
+    config = SwarmConfig.model_validate(
+        {
+            "world": {"engine": "kinematic", "bounds_m": (0.0, 0.0, 8.0, 8.0)},
+            "robot": [{"id": f"r{row}", "pose": tuple(pose)} for row, pose in enumerate(poses.tolist())],
+        }
+    )
+    lockstep = Lockstep(config)
+    try:
+        lockstep.run(0.49)
+        operator = Operator(lockstep.bus, Keys(), lockstep.runtime, "op")
+        operator.request("move_to_goal_bc", ("r0", "r1"), {"goal": [4.0, 4.0]}, lambda _: None)
+        lockstep.run(25.0)
+        assert np.abs(lockstep.world.twist).max() < 1e-6
+        left_m = np.hypot(*(lockstep.world.pose[:2, :2] - 4.0).T)
+        settled = lockstep.agent.settling.settled[:2]
+        assert ((left_m < 0.1) | settled).all()
+        assert left_m.min() < 0.25, "at the goal, or with the other in its way"
+        assert left_m.max() < 0.6, "beside it"
+    finally:
+        lockstep.close()

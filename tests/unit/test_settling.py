@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from fullswarm.agent.motion.settling import (
     CHECK_S,
+    CIRCLES_S,
     GIVE_UP_S,
     GOAL_TAKEN,
     NO_NEARER_PLACE,
@@ -104,14 +105,16 @@ class One:
         )  # fmt: skip
         self.settling, self.place, self.now_s = Settling(wanted, WIDE, 3.0), np.array(place), 0.0
 
-    def wait(self, others: Array, for_s: float, boxes: Array = NO_BOXES, sigma_m: float = 0.0) -> Array:
-        """Let time pass in which it does not move; return its desired velocity at the end."""
+    def wait(
+        self, others: Array, for_s: float, boxes: Array = NO_BOXES, sigma_m: float = 0.0, speed: float = 0.0
+    ) -> Array:
+        """Let time pass in which it comes no nearer; return its desired velocity at the end."""
         near, pose = among(others), np.array([[*self.place, 0.0]])
         for _ in range(round(for_s / PERIOD_S)):
             self.now_s += PERIOD_S
             desired: Array = self.goal - self.place
             sigma = np.array([[sigma_m, 0.0]])
-            self.settling.hold(self.now_s, desired, pose, np.zeros((1, 2)), sigma, near, boxes)
+            self.settling.hold(self.now_s, desired, pose, np.array([[speed, 0.0]]), sigma, near, boxes)
         return desired
 
     @property
@@ -133,6 +136,13 @@ def test_it_settles_beside_the_robot_at_its_goal_and_goes_on_when_that_leaves() 
     assert one.rule == NO_NEARER_PLACE, "room for a moment is no room"
     assert one.wait(np.array([[-2.0, 0.0]]), ROOM_S + 2.0 * CHECK_S).any()
     assert one.rule == NOT_SETTLED
+
+
+def test_one_that_circles_the_robot_at_its_goal_settles_too_but_not_one_that_has_just_come() -> None:
+    one = One((TOUCHING_M, 0.0))
+    assert one.wait(np.array([[0.0, 0.0]]), CIRCLES_S, speed=0.1).any()
+    assert not one.wait(np.array([[0.0, 0.0]]), CHECK_S, speed=0.1).any()
+    assert one.rule == NO_NEARER_PLACE
 
 
 def test_a_robot_that_moves_takes_no_place() -> None:

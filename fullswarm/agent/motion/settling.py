@@ -1,7 +1,7 @@
 """Lets robots settle that cannot get nearer to their goals: they stand, report so, and go on when there is room.
 
 A goal with room for one robot and a request to ten leaves nine that press against each other, and sidestep, for ever.
-A robot settles when it is slow, or has come no nearer for `WAIT_S` although it moves, as one that circles those that
+A robot settles when it is slow, or has come no nearer for `CIRCLES_S` although it moves, as one that circles those that
 arrived before it, and
 
 - something is in its way, and every place that is nearer to its goal is taken by a robot at standstill: at once; or
@@ -48,6 +48,7 @@ NEARER_RADII = 0.5
 FIT_M = 0.03
 """Beyond the filter's margin: the last of a gap is used up ever more slowly."""
 WINDOW_M = 2.0
+CIRCLES_S = 1.0
 WAIT_S = 6.0
 GIVE_UP_S = 20.0
 ROOM_S = 1.0
@@ -355,7 +356,7 @@ def settle(
                     rule[i] = NOT_SETTLED
                     nearer_s[i] = now_s
                     room_s[i] = min(2.0 * room_s[i], LONGEST_ROOM_S)
-            elif math.fabs(twist[i, 0]) <= SLOW_SHARE * speed_limit[i] or now_s - nearer_s[i] >= WAIT_S:
+            elif math.fabs(twist[i, 0]) <= SLOW_SHARE * speed_limit[i] or now_s - nearer_s[i] >= CIRCLES_S:
                 rule[i] = rule_for(
                     i, pose[i, 0], pose[i, 1], ux, uy, goal_x, goal_y, reach_m[i], now_s - nearer_s[i], radius[i],
                     clearance_m, near, arena,
