@@ -154,6 +154,22 @@ def test_what_moves_through_free_space_is_a_body_and_a_wall_is_none() -> None:
     assert np.mean(seen) > 0.9
 
 
+@pytest.mark.parametrize("speed_m_s", [0.25, 0.5, 1.0])
+def test_what_comes_straight_on_from_out_of_range_is_a_body_wherever_it_is_within_range(speed_m_s: float) -> None:
+    sense = RangeSense([LIDAR], table(), (-5.0, -5.0, 7.0, 5.0), 0.05, np.array([RADIUS]))
+    noise = np.random.default_rng(1)
+    for step in range(200):
+        away_m = 5.5 - speed_m_s * 0.1 * step
+        if away_m < 0.8:
+            break
+        wall = circle(-3.0, -3.0, 0.5)
+        distances = np.minimum(circle(away_m, 0.0, 0.25), wall) + noise.normal(0.0, 0.01, len(ANGLES))
+        sense.update(0.1 * step, HERE, EXACT, STANDS, scan(distances, 0.1 * step))
+        if away_m < 3.5:
+            assert len(sense.bodies) == 1, away_m
+            assert math.hypot(sense.bodies[0, 0] - away_m, sense.bodies[0, 1]) < 0.15
+
+
 @pytest.mark.parametrize("away_m", [0.6, 1.5, 3.0])
 def test_a_disc_is_found_from_the_side_that_is_seen(away_m: float) -> None:
     rng = np.random.default_rng(2)

@@ -6,6 +6,8 @@ wide angle sonar*, 1985; the increments are those of a lidar whose distances are
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,9 @@ LEAST, MOST = -2.0, 2.5
 OCCUPIED_ABOVE, FREE_BELOW = 0.5, -0.6
 SETTLED_CELLS = 2
 """A point so near an occupied cell belongs to it: noise must not look like motion."""
+PAST_S, SNAPSHOT_S = 0.6, 0.3
+"""What was free at least so long ago, and is hit now, has moved; how often the grid is kept for that. What comes on by
+less than `SETTLED_CELLS` per scan always lies beside cells that it has just made occupied."""
 SHORT_CELLS = 1.5
 """A ray frees cells up to so far before its end."""
 
@@ -39,6 +44,18 @@ class OccupancyGrid:
         self.place = place
         self.odds = np.zeros((place.rows, place.columns), np.float32)
         self.changed = np.zeros(place.tiles, bool)
+        self._past: deque[tuple[float, NDArray[np.float32]]] = deque()
+
+    def keep(self, now_s: float) -> None:
+        """Keep the grid as it is for :meth:`appeared`, once in `SNAPSHOT_S`."""
+        past = self._past
+        if past and now_s < past[-1][0]:
+            past.clear()  # the clock was set back
+        if past and now_s - past[-1][0] < SNAPSHOT_S:
+            return
+        while len(past) > 1 and now_s - past[1][0] >= PAST_S:
+            past.popleft()
+        past.append((now_s, self.odds.copy()))
 
     def add(self, origin: Array, ends: Array, hits: Flags, moving: Flags) -> None:
         """Take in one scan.
@@ -99,11 +116,20 @@ class OccupancyGrid:
         found = row[inside].astype(np.int64) * self.place.columns + column[inside].astype(np.int64)
         return np.unique(found)
 
-    def appeared(self, points: Array) -> Flags:
-        """Tell which points (k, 2) lie where all was free, with nothing occupied around: what is there has moved."""
+    def appeared(self, points: Array, now_s: float) -> Flags:
+        """Tell which points (k, 2) lie where all was free, with nothing occupied around: what is there has moved.
+
+        Of the grid now, or of how it was `PAST_S` ago.
+        """
         cells = self.place.cells(points)
-        found = np.zeros(len(points), bool)
-        odds, columns = self.odds.reshape(-1), self.place.columns
+        found = self._free_around(cells, self.odds)
+        if self._past and now_s - self._past[0][0] >= PAST_S:
+            found |= self._free_around(cells, self._past[0][1])
+        return found
+
+    def _free_around(self, cells: Index, grid: NDArray[np.float32]) -> Flags:
+        found = np.zeros(len(cells), bool)
+        odds, columns = grid.reshape(-1), self.place.columns
         known = np.flatnonzero(cells >= 0)
         free = known[odds[cells[known]] < FREE_BELOW]
         if not len(free):

@@ -88,6 +88,7 @@ class RangeSense:
         if not new:
             return False
         self._neighbours.refresh(now_s)
+        self.grid.keep(now_s)
         received, own = self._received(now_s), self._own(pose, sigma)
         seen = []
         for row, scan in new:
@@ -140,7 +141,7 @@ class RangeSense:
         points = ends[reached]
         origin = origins.mean(axis=0)
         close = np.hypot(*(points - origin).T) <= self.range_m
-        appeared = self.grid.appeared(points[close])
+        appeared = self.grid.appeared(points[close], now_s)
         bodies, moved = moving_bodies(origin, points[close], order[reached[close]], appeared)
         moving = np.zeros(len(hits), bool)
         moving[reached[close][moved]] = True
