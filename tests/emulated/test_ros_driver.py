@@ -6,6 +6,7 @@ the driver, its relay process, or its guardian.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -159,6 +160,24 @@ def test_hazards_battery_and_estop_arrive(transport: str) -> None:
         robot.press_estop(True)
         until(lambda: driver.state is Lifecycle.FAULT)
         assert "emergency stop" in driver.fault
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_scans_arrive_and_their_place_on_the_robot_is_that_of_the_model(transport: str) -> None:
+    with driving(free_url(transport, "model=turtlebot3&watchdog=0.5&scan=scan")) as (robot, driver):
+        robot.set_distances([1.25] * 90 + [math.inf] * 270)
+
+        def arrived() -> bool:
+            driver.command(Twist(0.1, 0.0))
+            reading = driver.read()
+            return reading is not None and bool(reading.ranges) and reading.ranges[0].distances_m[45] == 1.25
+
+        until(arrived)
+        (scan,) = driver.read().ranges  # type: ignore[union-attr]
+        assert driver.description.ranges_max_m == scan.max_m == 3.5
+        assert scan.mount.x_m == -0.032
+        assert 0.0 <= CLOCK.now_s() - scan.stamp_s < 1.0
+        assert not (scan.distances_m[90:] < math.inf).any()
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)

@@ -108,6 +108,47 @@ def test_an_estop_is_read_as_rosbags_writes_it(engaged: bool, little: bool) -> N
     assert p.read_json(p.BOOL, json_of(message)) == p.EStop(engaged)
 
 
+RAYS = st.lists(st.floats(0.0, 4.0, width=32) | st.sampled_from([math.inf, -math.inf, math.nan, 0.0]), max_size=400)
+
+
+@given(SECONDS, NANOSECONDS, TEXT, RAYS, st.booleans())
+def test_a_scan_is_read_as_rosbags_writes_it(
+    seconds: int, nanoseconds: int, frame: str, rays: list[float], little: bool
+) -> None:
+    message = make(
+        p.LASER_SCAN, header=header(seconds, nanoseconds, frame), angle_min=-1.5, angle_max=1.5, angle_increment=0.01,
+        time_increment=0.0005, scan_time=0.2, range_min=0.125, range_max=3.5, ranges=np.array(rays, np.float32),
+        intensities=np.ones(len(rays), np.float32),
+    )  # fmt: skip
+    expected = [
+        0.125 if each == -math.inf else each if each == math.inf or 0.125 <= each <= 3.5 else math.nan for each in rays
+    ]
+    for found in (p.read_cdr(p.LASER_SCAN, cdr(message, little)), p.read_json(p.LASER_SCAN, json_of(message))):
+        assert isinstance(found, p.LaserScan)
+        assert found.stamp_s == pytest.approx(seconds + 1e-9 * nanoseconds)
+        assert found.max_m == 3.5
+        assert found.angles_rad == pytest.approx([-1.5 + 0.01 * each for each in range(len(rays))], abs=1e-4)
+        assert found.duration_s == pytest.approx(0.0005 * (len(rays) - 1) if len(rays) > 1 else 0.2, abs=1e-6)
+    np.testing.assert_allclose(p.read_cdr(p.LASER_SCAN, cdr(message, little)).distances_m, expected)
+    # JSON has no infinity: rosbridge writes null.
+    of_json = [math.nan if math.isinf(each) else value for each, value in zip(rays, expected, strict=True)]
+    np.testing.assert_allclose(found.distances_m, of_json)
+
+
+def test_a_scan_without_a_range_or_of_too_many_rays_is_refused() -> None:
+    for first, step, most, rays in ((math.nan, 0.01, 3.5, 10), (0.0, 0.01, 0.0, 10), (0.0, 1.0, 3.5, 100)):
+        with pytest.raises(MessageError):
+            p.laser_scan(1.0, first, step, 0.0, 0.1, 0.1, most, np.ones(rays))
+    long = make(
+        p.LASER_SCAN, header=header(1, 0, ""), angle_min=0.0, angle_max=1.0, angle_increment=1e-5, time_increment=0.0,
+        scan_time=0.1, range_min=0.1, range_max=3.5, ranges=np.ones(p.MOST_RAYS + 1, np.float32),
+        intensities=np.zeros(0, np.float32),
+    )  # fmt: skip
+    for read, data in ((p.read_cdr, cdr(long, True)), (p.read_json, json_of(long))):
+        with pytest.raises(MessageError):
+            read(p.LASER_SCAN, data)
+
+
 @given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.none() | st.floats(0.0, 2e9))
 def test_a_command_is_what_rosbags_reads_and_writes(v: float, w: float, stamp_s: float | None) -> None:
     kind = p.TWIST if stamp_s is None else p.TWIST_STAMPED
@@ -134,7 +175,7 @@ def test_an_attachment_is_what_zenohs_own_serializer_writes() -> None:
 
 
 # ---------------------------------------------------------------- what is no such message
-KINDS = (p.ODOMETRY, p.BATTERY, p.HAZARDS, p.BOOL)
+KINDS = (p.ODOMETRY, p.BATTERY, p.HAZARDS, p.BOOL, p.LASER_SCAN)
 GOOD = {p.ODOMETRY: cdr(odometry(1, 2, "odom", "base", 1.0, 2.0, 0.5, 0.1, 0.2), True)}
 
 

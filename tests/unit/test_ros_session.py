@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import pytest
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
-from fullswarm.drivers.ros.protocol import Battery, EStop, Hazards, Odometry, Report
+from fullswarm.drivers.ros.protocol import Battery, EStop, Hazards, LaserScan, Odometry, Report
 from fullswarm.drivers.ros.session import LATE_S, SILENCE_S, Session
 from fullswarm.drivers.ros.settings import parse_url
 from fullswarm.errors import LinkLost, MessageError
@@ -258,3 +259,30 @@ def test_noise_is_named_when_nothing_better_comes() -> None:
     assert bench.state() is Lifecycle.FAULT
     assert "a test's noise" in bench.session.fault
     assert math.isfinite(bench.session.next_due_s(bench.now_s))
+
+
+def test_a_scan_is_in_the_next_reading_with_a_stamp_of_this_clock_and_a_late_one_is_not() -> None:
+    bench = Bench()
+    bench.session = Session(
+        parse_url(f"{URL}&scan=scan&scan_at=0.1,0,1.5&scan_max=3").description, bench.wire, stamped=False, estop=False,
+        scan_at=Pose(0.1, 0.0, 1.5),
+    )  # fmt: skip
+    bench.session.linked(bench.now_s)
+    bench.run(0.2)
+    angles, distances = np.array([0.0, 1.0, 2.0]), np.array([1.0, 3.2, math.nan])
+    ended_s = bench.now_s - 0.05
+    bench.take(LaserScan(ended_s - 0.1 + ROBOT_CLOCK_S, 0.1, angles, distances, 3.5))
+    bench.run(0.02)
+    reading = bench.session.read()
+    assert reading is not None
+    (scan,) = reading.ranges
+    assert scan.stamp_s == pytest.approx(ended_s, abs=1e-6)
+    assert (scan.max_m, scan.mount, scan.duration_s) == (3.0, Pose(0.1, 0.0, 1.5), 0.1)
+    assert scan.distances_m[:2].tolist() == [1.0, math.inf], "beyond what it is said to see there is nothing"
+    assert math.isnan(scan.distances_m[2])
+    bench.run(0.2)
+    bench.take(LaserScan(bench.now_s + ROBOT_CLOCK_S - 1.5, 0.1, angles, distances, 3.5))
+    bench.run(0.02)
+    reading = bench.session.read()
+    assert reading is not None
+    assert reading.ranges == (scan,)

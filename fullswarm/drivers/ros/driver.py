@@ -53,8 +53,13 @@ def begin(settings: Settings) -> Session:
     estop = bool(settings.topics.estop)
     if settings.transport == "rosbridge":
         wire = RosbridgeWire(settings)
-        return Session(settings.description, wire, stamped=settings.stamped, estop=estop, plan=wire.stop_plan)
-    return Session(settings.description, ZenohWire(settings), stamped=settings.stamped, estop=estop)
+        return Session(
+            settings.description, wire, stamped=settings.stamped, estop=estop, plan=wire.stop_plan,
+            scan_at=settings.scan_at,
+        )  # fmt: skip
+    return Session(
+        settings.description, ZenohWire(settings), stamped=settings.stamped, estop=estop, scan_at=settings.scan_at
+    )
 
 
 def open_port(settings: Settings, clock: Clock) -> Callable[[], Port[bytes]]:

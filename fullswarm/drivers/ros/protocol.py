@@ -15,20 +15,26 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import msgspec
+import numpy as np
 
 from fullswarm.drivers.base import Hazard, Pose, Twist
 from fullswarm.errors import MessageError
 from fullswarm.geometry import wrap
+from fullswarm.kernels import Array
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 ODOMETRY, BATTERY = "nav_msgs/msg/Odometry", "sensor_msgs/msg/BatteryState"
 HAZARDS, BOOL = "irobot_create_msgs/msg/HazardDetectionVector", "std_msgs/msg/Bool"
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
 
 LARGEST_BYTES = 64 * 1024
 """No message of these types is longer; a longer one is refused unread."""
 MOST_HAZARDS = 64
+MOST_RAYS = 4096
+LONGEST_SCAN_S = 1.0
 
 HAZARD_OF = {1: Hazard.BUMP, 2: Hazard.CLIFF, 3: Hazard.OVERCURRENT, 4: Hazard.WHEEL_DROP}
 """By ``HazardDetection.type``; 0 (backup limit) and 5 (object near) are reflexes of the base that bar no motion."""
@@ -64,7 +70,18 @@ class EStop:
     engaged: bool
 
 
-Report = Odometry | Battery | Hazards | EStop
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserScan:
+    """One turn of a lidar: angles and distances as in ``RangeScan``; the stamp is of its first ray, 0: none."""
+
+    stamp_s: float
+    duration_s: float
+    angles_rad: Array
+    distances_m: Array
+    max_m: float
+
+
+Report = Odometry | Battery | Hazards | EStop | LaserScan
 
 
 # ---------------------------------------------------------------- CDR
@@ -177,6 +194,39 @@ def _read_hazards(reader: Reader) -> Hazards:
     return Hazards(found)
 
 
+def _read_scan(reader: Reader) -> LaserScan:
+    stamp_s = reader.stamp_s()
+    first, _, step, ray_s, scan_s, least, most = reader.take("f", 7)
+    count = int(reader.take("I")[0])
+    if count > MOST_RAYS:
+        raise MessageError(f"a scan of {count} rays is none of a lidar")
+    found = np.array(reader.take("f", count))
+    reader.take("f", min(int(reader.take("I")[0]), MOST_RAYS))
+    return laser_scan(stamp_s, first, step, ray_s, scan_s, least, most, found)
+
+
+def laser_scan(
+    stamp_s: float, first: float, step: float, ray_s: float, scan_s: float, least_m: float, most_m: float,
+    distances_m: Array,
+) -> LaserScan:  # fmt: skip
+    """Return a scan of checked values.
+
+    REP 117: infinite is nothing within the range, minus infinite something too near to measure, which is taken to be at
+    the least range. What else is outside the range is no measurement, as sensor_msgs says: 0 of a TurtleBot 3, too.
+    """
+    if not all(map(math.isfinite, (stamp_s, first, step))) or not 0.0 <= least_m < most_m < math.inf:
+        raise MessageError("a scan has values that are not finite, or no range")
+    if abs(step) * len(distances_m) > 2.0 * math.tau:
+        raise MessageError(f"a scan of {len(distances_m)} rays {step:g} rad apart turns more than twice")
+    turn_s = max(ray_s * (len(distances_m) - 1), 0.0) or scan_s
+    measured: Array = np.where(distances_m == -math.inf, least_m, distances_m)
+    inside = (measured >= least_m) & (measured <= most_m) | (measured == math.inf)
+    return LaserScan(
+        stamp_s, min(max(turn_s, 0.0), LONGEST_SCAN_S) if math.isfinite(turn_s) else 0.0,
+        first + step * np.arange(len(distances_m), dtype=np.float64), np.where(inside, measured, math.nan), most_m,
+    )  # fmt: skip
+
+
 def _read_estop(reader: Reader) -> EStop:
     engaged = reader.take("B")[0]
     if engaged not in (0, 1):
@@ -189,6 +239,7 @@ _CDR: dict[str, Callable[[Reader], Report]] = {
     BATTERY: _read_battery,
     HAZARDS: _read_hazards,
     BOOL: _read_estop,
+    LASER_SCAN: _read_scan,
 }
 
 
@@ -267,7 +318,21 @@ class _BoolFields(msgspec.Struct):
     data: bool
 
 
-_JSON = {ODOMETRY: _OdometryFields, BATTERY: _BatteryFields, HAZARDS: _HazardsFields, BOOL: _BoolFields}
+class _ScanFields(msgspec.Struct):
+    header: _Header
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    ranges: Annotated[list[float | None], msgspec.Meta(max_length=MOST_RAYS)]
+    time_increment: float = 0.0
+    scan_time: float = 0.0
+
+
+_JSON = {
+    ODOMETRY: _OdometryFields, BATTERY: _BatteryFields, HAZARDS: _HazardsFields, BOOL: _BoolFields,
+    LASER_SCAN: _ScanFields,
+}  # fmt: skip
 
 
 def read_json(kind: str, data: bytes) -> Report:
@@ -296,6 +361,14 @@ def read_json(kind: str, data: bytes) -> Report:
         for each in fields.detections[:MOST_HAZARDS]:
             found |= HAZARD_OF.get(each.type, Hazard.NONE)
         return Hazards(found)
+    if isinstance(fields, _ScanFields):
+        stamp = fields.header.stamp
+        # JSON has no infinity: what is null was not measured, or nothing was there. So nothing follows of it.
+        found_m = np.array([math.nan if each is None else each for each in fields.ranges])
+        return laser_scan(
+            stamp.sec + 1e-9 * stamp.nanosec, fields.angle_min, fields.angle_increment, fields.time_increment,
+            fields.scan_time, fields.range_min, fields.range_max, found_m,
+        )  # fmt: skip
     return EStop(fields.data)
 
 

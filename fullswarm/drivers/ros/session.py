@@ -13,11 +13,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from fullswarm.drivers.base import STAND, Description, Hazard, Lifecycle, Pose, Reading, Twist
+import numpy as np
+
+from fullswarm.drivers.base import STAND, Description, Hazard, Lifecycle, Pose, RangeScan, Reading, Twist
 from fullswarm.drivers.guardian import LONG_WATCHDOG_S, StopPlan
 from fullswarm.drivers.guardian import SILENCE_S as GUARDIAN_S
 from fullswarm.drivers.linked import LinkSession, Odometer
-from fullswarm.drivers.ros.protocol import Battery, EStop, Hazards, Odometry, Report
+from fullswarm.drivers.ros.models import MIDDLE
+from fullswarm.drivers.ros.protocol import Battery, EStop, Hazards, LaserScan, Odometry, Report
 from fullswarm.errors import LinkLost, MessageError
 from fullswarm.geometry import wrap
 from fullswarm.reasons import Reason, given
@@ -41,6 +44,8 @@ JUMP_SHARE, JUMP_M, JUMP_RAD = 1.5, 0.05, 0.3
 ANEW_M = 1e-6
 """Counting from zero again looks like this."""
 LOW = 0.1
+SCAN_SIGMA_M = 0.02
+"""Standard deviation of a distance: LDS-01 and RPLIDAR A1 at 2 m, by their data sheets."""
 
 
 def patience_s(description: Description) -> float:
@@ -103,15 +108,18 @@ class Session(LinkSession[bytes]):
     ----------
     estop
         An e-stop's state is part of what must be known before it drives.
-    stop_plan
+    plan
         What a guardian sends, for a transport where one can.
+    scan_at
+        Where on the robot its lidar is.
     """
 
     firmware = ""
 
     def __init__(
-        self, description: Description, wire: Wire, *, stamped: bool, estop: bool, plan: StopPlan[bytes] | None = None
-    ) -> None:
+        self, description: Description, wire: Wire, *, stamped: bool, estop: bool, plan: StopPlan[bytes] | None = None,
+        scan_at: Pose = MIDDLE,
+    ) -> None:  # fmt: skip
         self._patience_s = patience_s(description)
         self._limits, self._wire, self._stamped, self._plan = description.limits, wire, stamped, plan
         self._odometer, self._breaks = Odometer(), 0
@@ -119,6 +127,8 @@ class Session(LinkSession[bytes]):
         self._odometry_s: float | None = None  # when it last arrived, and was believed
         self._ticked_s, self._linked_s, self._sent_s = -math.inf, -math.inf, -math.inf
         self._battery: float | None = None
+        self._scan_at, self._scan_max_m = scan_at, description.ranges_max_m
+        self._ranges: tuple[RangeScan, ...] = ()
         self._hazards = Hazard.NONE
         self._engaged: bool | None = None if estop else False
         self._unread = Hazard.NONE  # since the last read()
@@ -266,6 +276,25 @@ class Session(LinkSession[bytes]):
             self._unread |= report.hazards
         elif isinstance(report, EStop):
             self._take_estop(report, now_s)
+        else:
+            self._take_scan(report, now_s)
+
+    def _take_scan(self, report: LaserScan, now_s: float) -> None:
+        """Keep the newest scan for the next reading; its stamp becomes one of our clock, never later than now."""
+        ended_s, offset_s = now_s, self._lag.offset_s
+        if report.stamp_s > 0.0 and offset_s is not None:
+            ended_s = report.stamp_s + offset_s + report.duration_s
+            if now_s - ended_s > LATE_S:
+                self._refused = f"its scans arrive {now_s - ended_s:.1f} s late: the network is overloaded"
+                return
+        most_m = min(report.max_m, self._scan_max_m)
+        distances_m = np.where(report.distances_m > most_m, math.inf, report.distances_m)
+        self._ranges = (
+            RangeScan(
+                min(ended_s, now_s), report.angles_rad, distances_m, most_m, self._scan_at,
+                duration_s=report.duration_s, sigma_m=SCAN_SIGMA_M,
+            ),
+        )  # fmt: skip
 
     def _take_estop(self, report: EStop, now_s: float) -> None:
         self._engaged = report.engaged
@@ -296,6 +325,7 @@ class Session(LinkSession[bytes]):
             hazards=self._present_hazards(),
             contacts=int(Hazard.BUMP in self._hazards),
             battery=self._battery,
+            ranges=self._ranges,
         )
         if self.state in (Lifecycle.OPEN, Lifecycle.FAULT) and not self.unguarded and self._engaged is False:
             self.state, self.fault = Lifecycle.READY, ""

@@ -14,6 +14,9 @@ begins with ``/``. Options:
 ``cmd=cmd_vel``, ``odom=odom``, ``battery=``, ``hazards=``, ``estop=``
     Topics. ``hazards`` is a HazardDetectionVector of irobot_create_msgs; ``estop`` a Bool that is true while the
     robot's emergency stop is engaged. Empty: there is none; the last three default to what the model has.
+``scan=``
+    A LaserScan: the robot then knows its surroundings by it. ``scan_at=x,y,heading`` in m and rad says where on the
+    robot the sensor is, ``scan_max=`` how far it sees at most, in m; both default to what the model has.
 ``stamped=1``
     The base takes TwistStamped; its stamps are times of the robot's own clock.
 ``radius=``, ``speed=``, ``turn=``, ``accel=``, ``turn_accel=``, ``reverse=0|1``
@@ -38,16 +41,28 @@ from dataclasses import dataclass, replace
 from typing import Literal
 from urllib.parse import parse_qsl, urlsplit
 
-from fullswarm.drivers.base import Description, Limits
+from fullswarm.drivers.base import Description, Limits, Pose
 from fullswarm.drivers.make import Claim
 from fullswarm.drivers.ports import parse_address
-from fullswarm.drivers.ros.models import MODELS, Model
+from fullswarm.drivers.ros.models import MIDDLE, MODELS, Model
 from fullswarm.errors import ConfigError, did_you_mean
 
 Transport = Literal["zenoh", "bridge", "rosbridge"]
 NUMBERS = ("radius", "speed", "turn", "accel", "turn_accel")
-TOPICS = ("cmd", "odom", "battery", "hazards", "estop")
-OPTIONS = ("rmw", "model", *TOPICS, "stamped", *NUMBERS, "reverse", "watchdog", "domain", "guardian")
+TOPICS = ("cmd", "odom", "battery", "hazards", "estop", "scan")
+OPTIONS = (
+    "rmw",
+    "model",
+    *TOPICS,
+    "scan_at",
+    "scan_max",
+    "stamped",
+    *NUMBERS,
+    "reverse",
+    "watchdog",
+    "domain",
+    "guardian",
+)
 EXAMPLE = "ros://tcp/192.168.1.5:7447/turtlebot1?model=turtlebot3&watchdog=0.5"
 OTHER = Model("ROS", "base", math.nan, Limits(math.nan, math.nan, 1.0, 4.0), None, battery="")
 """A robot without a record: what is not known must be in the URL."""
@@ -64,6 +79,7 @@ class Topics:
     battery: str
     hazards: str
     estop: str
+    scan: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +95,7 @@ class Settings:
     stamped: bool = False
     domain: int = 0
     guardian: bool | None = None  # None: the opener of the driver decides
+    scan_at: Pose = MIDDLE
 
     @property
     def where(self) -> str:
@@ -115,7 +132,7 @@ def parse_url(url: str) -> Settings:
         _transport(url, parts.netloc, options), host, port, namespace,
         Topics(*(_topic(url, name, options, model, namespace) for name in TOPICS)), described,
         stamped=_flag(url, "stamped", options, model.stamped) or False, domain=_domain(url, options),
-        guardian=_flag(url, "guardian", options, None),
+        guardian=_flag(url, "guardian", options, None), scan_at=_scan_at(url, options, model),
     )  # fmt: skip
 
 
@@ -158,7 +175,32 @@ def _describe(url: str, options: dict[str, str], model: Model) -> Description:
         limits=limits,
         senses_bumps=bool(options.get("hazards", model.hazards)),
         watchdog_s=watchdog_s,
+        ranges_max_m=_scan_max(url, options, model),
     )
+
+
+def _scan_max(url: str, options: dict[str, str], model: Model) -> float:
+    if not options.get("scan"):
+        for name in ("scan_at", "scan_max"):
+            if name in options:
+                raise ConfigError(f"{name} without scan", where=url, hint="name the topic of the lidar, e.g. scan=scan")
+        return 0.0
+    if "scan_max" not in options and not model.scan_max_m:
+        raise ConfigError("it is not known how far its lidar sees", where=url, hint="add scan_max=, in m")
+    return _number(url, "scan_max", options, model.scan_max_m)
+
+
+def _scan_at(url: str, options: dict[str, str], model: Model) -> Pose:
+    if "scan_at" not in options:
+        return model.scan_at
+    try:
+        numbers = [float(each) for each in options["scan_at"].split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not all(math.isfinite(each) and abs(each) < 10.0 for each in numbers):
+        hint = "x,y,heading in m and rad, e.g. scan_at=-0.04,0,1.571"
+        raise ConfigError(f"scan_at '{options['scan_at']}' is no place on the robot", where=url, hint=hint)
+    return Pose(*numbers)
 
 
 def _refuse_unstoppable(url: str, options: dict[str, str], host: str, description: Description) -> None:

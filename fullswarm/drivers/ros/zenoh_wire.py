@@ -41,7 +41,8 @@ def subscribed(settings: Settings) -> list[tuple[str, str]]:
     """Return name and type of the base's topics; the odometry first."""
     topics = settings.topics
     found = (
-        (topics.odom, p.ODOMETRY), (topics.battery, p.BATTERY), (topics.hazards, p.HAZARDS), (topics.estop, p.BOOL)
+        (topics.odom, p.ODOMETRY), (topics.battery, p.BATTERY), (topics.hazards, p.HAZARDS), (topics.estop, p.BOOL),
+        (topics.scan, p.LASER_SCAN),
     )  # fmt: skip
     return [(name, kind) for name, kind in found if name]
 

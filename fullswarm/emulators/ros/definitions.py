@@ -12,6 +12,7 @@ from fullswarm.errors import MissingExtra
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 ODOMETRY, BATTERY, BOOL = "nav_msgs/msg/Odometry", "sensor_msgs/msg/BatteryState", "std_msgs/msg/Bool"
+SCAN = "sensor_msgs/msg/LaserScan"
 HAZARDS = "irobot_create_msgs/msg/HazardDetectionVector"
 _HAZARD = "std_msgs/Header header\nuint8 type\n"
 _HAZARD_VECTOR = "std_msgs/Header header\nHazardDetection[] detections\n"

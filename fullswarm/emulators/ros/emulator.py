@@ -69,6 +69,10 @@ class RosEmulator(Emulator):
         """Engage or release its emergency stop."""
         self.base.estop = on
 
+    def set_distances(self, distances_m: list[float]) -> None:
+        """Say what its lidar measures, 360 rays counter-clockwise; infinite: nothing."""
+        self.base.distances_m = list(distances_m)
+
     def stick_sensors(self, on: bool) -> None:
         """Repeat the last odometry, with its old stamp."""
         self.base.stuck = on
@@ -95,7 +99,7 @@ def _options(url: str) -> BaseOptions:
     topics, limits = settings.topics, settings.description.limits
     model = dict(parse_qsl(urlsplit(url).query)).get("model", "")
     return BaseOptions(
-        topics.cmd, topics.odom, topics.battery, topics.hazards, topics.estop,
+        topics.cmd, topics.odom, topics.battery, topics.hazards, topics.estop, topics.scan,
         # Its motors are faster than what is asked of them, and brake as their maker states.
         1.2 * limits.speed_m_s, 1.2 * limits.turn_rad_s, limits.accel_m_s2, limits.turn_accel_rad_s2,
         timeout_s=settings.description.watchdog_s, stamped=settings.stamped,

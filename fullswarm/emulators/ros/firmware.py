@@ -12,7 +12,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fullswarm.emulators.ros.definitions import BATTERY, BOOL, HAZARDS, ODOMETRY, TWIST, TWIST_STAMPED, typestore
+from fullswarm.emulators.ros.definitions import (
+    BATTERY,
+    BOOL,
+    HAZARDS,
+    ODOMETRY,
+    SCAN,
+    TWIST,
+    TWIST_STAMPED,
+    typestore,
+)
 from fullswarm.geometry import clamp
 from fullswarm.simulation.bodies import Body
 
@@ -22,6 +31,8 @@ BOOTED_S = 1_764_000_000.25
 """The robot's clock at the origin of ours: it was never set from this computer."""
 DRIVEN = 0.31, -0.17, 0.4
 """Its odometry when it is switched on here: it has been driven since it booted. m, m, rad."""
+RAYS, SCAN_MAX_M = 360, 3.5
+"""Of an LDS-01."""
 CHARGING_UNKNOWN, LIPO = 0, 3
 BUMP, CLIFF, STALL, WHEEL_DROP = 1, 2, 3, 4
 
@@ -32,7 +43,7 @@ class BaseOptions:
 
     Parameters
     ----------
-    cmd, odom, battery, hazards, estop
+    cmd, odom, battery, hazards, estop, scan
         Topics without the leading slash; empty: it has none.
     timeout_s
         After this silence on `cmd` it stops by itself; None: it keeps its last velocity, as a TurtleBot 3.
@@ -49,6 +60,7 @@ class BaseOptions:
     battery: str
     hazards: str
     estop: str
+    scan: str
     speed_m_s: float
     turn_rad_s: float
     accel_m_s2: float
@@ -66,7 +78,7 @@ class BaseOptions:
     @property
     def published(self) -> Mapping[str, str]:
         """Its topics with their types."""
-        found = {self.odom: ODOMETRY, self.battery: BATTERY, self.hazards: HAZARDS, self.estop: BOOL}
+        found = {self.odom: ODOMETRY, self.battery: BATTERY, self.hazards: HAZARDS, self.estop: BOOL, self.scan: SCAN}
         return {name: kind for name, kind in found.items() if name}
 
 
@@ -77,6 +89,8 @@ class Base:
         self.options, self._body = options, body
         self.store = typestore()
         self.battery, self.estop, self.stuck = 0.87, False, False
+        self.distances_m = [math.inf] * RAYS
+        """What its lidar measures, counter-clockwise from its own x axis."""
         self.hazards: set[int] = set()
         self.due_s = self._slow_s = 0.0
         self.commands = 0  # taken so far
@@ -125,6 +139,8 @@ class Base:
                 yield names.battery, self._battery_state(now_s)
             if names.estop:
                 yield names.estop, self._type(BOOL)(data=self.estop)
+            if names.scan:
+                yield names.scan, self._scan(now_s)
         if names.hazards:
             yield names.hazards, self._hazard_vector(now_s)
 
@@ -183,6 +199,16 @@ class Base:
             ),
         )
         return self._old
+
+    def _scan(self, now_s: float) -> Any:
+        """Return the scan that ends now."""
+        import numpy as np
+
+        return self._type(SCAN)(
+            header=self._header(now_s - SLOW_S, "base_scan"), angle_min=0.0, angle_max=math.tau * (1.0 - 1.0 / RAYS),
+            angle_increment=math.tau / RAYS, time_increment=SLOW_S / RAYS, scan_time=SLOW_S, range_min=0.12,
+            range_max=SCAN_MAX_M, ranges=np.array(self.distances_m, np.float32), intensities=np.zeros(RAYS, np.float32),
+        )  # fmt: skip
 
     def _battery_state(self, now_s: float) -> Any:
         import numpy as np
