@@ -293,7 +293,7 @@ class AgentNode:
         state = self._state
         state.reading = reading = self._fleet.read()
         if self._map_poses is not None:
-            self._map_poses.update(reading)
+            self._map_poses.update(reading, state.pose)
         state.pose = self._estimate(reading, now_s - self._last_tick_s)
         state.twist = reading.twist
         self._sense_static(now_s, reading)

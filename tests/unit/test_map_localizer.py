@@ -10,8 +10,12 @@ import pytest
 from fullswarm.agent.pose.map_field import MapField
 from fullswarm.agent.pose.map_localizer import MapLocalizer
 from fullswarm.agent.pose.pose_filter import OdometryNoise, between
+from fullswarm.config import SwarmConfig
 from fullswarm.evaluate.scenarios import boxes_for, load_scenario
 from fullswarm.kernels import Array
+from fullswarm.keys import Keys
+from fullswarm.launch.lockstep import Lockstep
+from fullswarm.operator.client import Operator
 
 ANGLES = np.linspace(-math.pi, math.pi, 180, endpoint=False)
 MAX_M, PERIOD_S = 12.0, 0.1
@@ -75,3 +79,41 @@ def test_a_robot_is_located_within_5_cm_and_found_again_within_20_s(
     assert math.sqrt(float(np.mean(np.square(errors_m)))) <= 0.05
     assert found_s is not None
     assert found_s <= 20.0
+
+
+def test_a_whole_robot_that_was_carried_stands_until_its_pose_is_the_new_one() -> None:
+    boxes = ((2.0, 6.5, 1.0, 0.6, 0.0), (6.0, 2.0, 0.8, 1.4, 0.0), (5.6, 6.4, 0.6, 0.6, 0.0))
+    config = SwarmConfig.model_validate(
+        {
+            "world": {
+                "engine": "kinematic", "bounds_m": (0.0, 0.0, 8.0, 8.0), "sight": {"pose": False},
+                "ranges": {"count": 120, "max_m": 12.0}, "noise": {"odometry": 0.02},
+                "boxes": boxes,
+            },
+            "agent": {"locate_on_map": True},
+            "robot": [{"id": "r1", "pose": (1.5, 1.5, 0.0)}],
+        }
+    )  # fmt: skip
+    swarm = Lockstep(config)
+    try:
+        swarm.run(1.0)
+        operator = Operator(swarm.bus, Keys(), swarm.runtime, "op")
+        operator.request("navigate_bc", (), {"goal": [3.5, 4.0], "map": "given"}, lambda _: None)
+        swarm.run(3.0)
+        agent, world = swarm.agent, swarm.world
+        assert math.dist(agent._state.pose[0, :2], world.pose[0, :2]) < 0.05
+        world.pose[0] = 7.0, 5.0, 2.0
+        since_s, sure_s = 0.0, None
+        while since_s < 20.0:
+            swarm.run(0.1)
+            since_s += 0.1
+            off_m = math.dist(agent._state.pose[0, :2], world.pose[0, :2])
+            lost = bool(agent.reflexes.pose_uncertain[0])
+            if since_s > 1.5:  # a scan that fits badly is one scan; several are a robot that was carried
+                assert lost or off_m < 0.15
+                assert not lost or world.twist[0, 0] == 0.0
+                sure_s = sure_s or (None if lost else since_s)
+        assert sure_s is not None, "it was not found again"
+        assert math.dist(world.pose[0, :2], (3.5, 4.0)) < 0.15, "it has gone on to its goal"
+    finally:
+        swarm.close()

@@ -16,11 +16,15 @@ from fullswarm.agent.pose.map_localizer import MapLocalizer
 from fullswarm.agent.pose.pose_filter import OdometryNoise, between
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import FleetReading, RangeScan
+from fullswarm.geometry import wrap
 from fullswarm.kernels import Array
 from fullswarm.messages import PoseFix
 
 SOURCE = "map"
 LONG_S = 1.0
+AGREES_M, AGREES_RAD = 0.2, 0.2
+"""A robot that was lost drives again when its agent's pose is so near what the localizer has found: the fixes of a robot
+that was carried are outliers at first, and meanwhile the pose is the old one."""
 FREE_RAYS, FREE_SHARES = 6, (0.4, 0.8)
 """Of every so many rays, at these shares of its way: points that are free."""
 
@@ -36,7 +40,7 @@ class MapPoses:
 
     Attributes
     ----------
-    lost : (n,) robots that must not drive: where they are on the map is not known
+    lost : (n,) robots that must not drive: where they are on the map is not known, or not yet taken for their pose
     """
 
     def __init__(
@@ -61,8 +65,8 @@ class MapPoses:
         self._seen_s: dict[tuple[int, str], float] = {}
         self._last: tuple[tuple[int, RangeScan], ...] = ()
 
-    def update(self, reading: FleetReading) -> None:
-        """Take in the scans that are new."""
+    def update(self, reading: FleetReading, pose: Array) -> None:
+        """Take in the scans that are new; `pose` (n, 3) is what the agent takes for the robots' poses."""
         if reading.ranges is self._last:
             return
         self._last = reading.ranges
@@ -71,9 +75,9 @@ class MapPoses:
             if (row, scan.name) in self._seen_s and since_s <= 0.0:
                 continue
             self._seen_s[row, scan.name] = scan.stamp_s
-            self._locate(row, scan, reading, min(since_s, LONG_S))
+            self._locate(row, scan, reading, pose[row], min(since_s, LONG_S))
 
-    def _locate(self, row: int, scan: RangeScan, reading: FleetReading, since_s: float) -> None:
+    def _locate(self, row: int, scan: RangeScan, reading: FleetReading, pose: Array, since_s: float) -> None:
         localizer, odometry = self._localizers[row], reading.odometry[row].tolist()
         before, self._odometry[row] = self._odometry[row], odometry
         if before is not None:
@@ -82,10 +86,13 @@ class MapPoses:
         origins, ends, hits, _ = points_of(scan, np.zeros(3), reading.twist[row], float(reading.stamp_s[row]))
         passed = [origins[::FREE_RAYS] + share * (ends - origins)[::FREE_RAYS] for share in FREE_SHARES]
         found = localizer.see(ends[hits], np.vstack(passed), since_s)
-        self.lost[row] = localizer.lost
+        self.lost[row] |= localizer.lost
         if found is None:
             return
         x_m, y_m, heading_rad = found.pose
+        near = math.hypot(x_m - pose[0], y_m - pose[1]) < AGREES_M  # NaN is not
+        if near and abs(wrap(heading_rad - pose[2])) < AGREES_RAD:
+            self.lost[row] = False
         xx, xy, yy = found.covariance_m2
         self._receive(
             PoseFix(
