@@ -18,6 +18,7 @@ Further files:
 ``guardian.py``          Starts guardian processes, which stop a robot whose driver has stalled or died (decision 14)
 ``guardian_process.py``  The guardian's own process: stops the robot of a driver that hangs or has ended
 ``make.py``              The record of a make, and the lookup of all records
+``lidar/``               Lidars on board, beside the driver of a robot of any make
 ``mavlink/``             MAVLink ground rovers: ArduPilot Rover (GUIDED) and PX4 (OFFBOARD)
 ``null/``                The null make: ``null://<id>``, a robot without hardware
 ``probe/``               Identifies the robot on a port without moving it: for `fullswarm robots find` and `fullswarm

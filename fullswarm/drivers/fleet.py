@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import structlog
@@ -27,6 +29,9 @@ from fullswarm.drivers.base import (
 from fullswarm.errors import DriverError
 from fullswarm.kernels import Array
 
+if TYPE_CHECKING:
+    from fullswarm.drivers.lidar.sensor import LidarSensor
+
 log = structlog.get_logger()
 
 RETRY_S = 0.5
@@ -38,13 +43,24 @@ class OneRobot:
 
     A port that is not there yet (a robot that is switched on after its computer) is a FAULT that people see, and is
     tried again twice a second; it does not end the agent.
+
+    Parameters
+    ----------
+    lidar : on board beside the driver. While it measures nothing the robot counts as in FAULT: what it was to keep off
+        by its ranges it cannot see.
     """
 
-    def __init__(self, robot: str, driver: Driver, clock: Clock | None = None) -> None:
+    def __init__(
+        self, robot: str, driver: Driver, clock: Clock | None = None, lidar: LidarSensor | None = None
+    ) -> None:
         self.ids: tuple[str, ...] = (robot,)
         self.urls: tuple[str, ...] = (driver.url,)
-        self.descriptions: tuple[Description, ...] = (driver.description,)
-        self._driver = driver
+        described = driver.description
+        if lidar is not None:
+            described = replace(described, ranges_max_m=max(described.ranges_max_m, lidar.settings.max_m))
+        self.descriptions: tuple[Description, ...] = (described,)
+        self._driver, self._lidar = driver, lidar
+        self._scans: tuple[RangeScan, ...] = ()
         self._fixable = driver if isinstance(driver, TakesFixes) else None
         self._clock = clock or MonotonicClock()
         self._absent: DriverError | None = None
@@ -69,6 +85,8 @@ class OneRobot:
 
     def open(self) -> None:
         """Open the driver, or try again later."""
+        if self._lidar is not None:
+            self._lidar.start()
         try:
             self._driver.open()
         except DriverError as error:
@@ -83,6 +101,9 @@ class OneRobot:
         if self._absent is not None and self._clock.now_s() >= self._again_s:
             self.open()
         new, rows = self._driver.read(), self._reading
+        if self._lidar is not None and self._lidar.scans is not self._scans:
+            self._scans = self._lidar.scans
+            rows.ranges = tuple((0, scan) for scan in (*self._ranges, *self._scans))
         if new is None or new is self._last:
             return rows
         self._last = new
@@ -101,33 +122,34 @@ class OneRobot:
         rows.bodies = new.bodies
         if new.ranges is not self._ranges:
             self._ranges = new.ranges
-            rows.ranges = tuple((0, scan) for scan in new.ranges)
+            rows.ranges = tuple((0, scan) for scan in (*new.ranges, *self._scans))
         rows.position_sigma_m[0] = math.nan if new.position_sigma_m is None else new.position_sigma_m
         return rows
 
     def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:
         """Command the driver, activating or deactivating it first where `active` asks for it."""
         driver, state = self._driver, self._driver.state
-        if active[0] and state is Lifecycle.READY:
+        drives = bool(active[0]) and not self._blind
+        if drives and state is Lifecycle.READY:
             driver.activate()
             self._activating = True
-        elif not active[0] and (state is Lifecycle.ACTIVE or (self._activating and state is Lifecycle.READY)):
+        elif not drives and (state is Lifecycle.ACTIVE or (self._activating and state is Lifecycle.READY)):
             # In READY an attempt to arm may be under way: it must not end after an e-stop.
             driver.deactivate()
             self._activating = False
-        desired = Twist(float(twists[0, 0]), float(twists[0, 1])) if active[0] else Twist()
+        desired = Twist(float(twists[0, 0]), float(twists[0, 1])) if drives else Twist()
         applied = driver.command(desired)
         return np.array([[applied.linear_m_s, applied.angular_rad_s]])
 
     def lifecycle(self, row: int) -> Lifecycle:
-        """Return the driver's state; FAULT while its port is not there."""
+        """Return the driver's state; FAULT while its port is not there, or its lidar measures nothing."""
         del row
-        return self._driver.state if self._absent is None else Lifecycle.FAULT
+        return self._driver.state if self._absent is None and not self._blind else Lifecycle.FAULT
 
     def fault(self, row: int) -> str:
-        """Return the driver's fault."""
+        """Return the driver's fault, or its lidar's."""
         del row
-        return self._driver.fault if self._absent is None else str(self._absent)
+        return (self._driver.fault if self._absent is None else str(self._absent)) or self._blind
 
     def fault_code(self, row: int) -> str:
         """Return the code of the driver's fault, if it has one."""
@@ -171,8 +193,15 @@ class OneRobot:
         self._driver.actuate(name, found)
 
     def close(self) -> None:
-        """Close the driver."""
+        """Close the driver and the lidar."""
         self._driver.close()
+        if self._lidar is not None:
+            self._lidar.close()
+
+    @property
+    def _blind(self) -> str:
+        """Why its lidar measures nothing; empty: it measures, or there is none."""
+        return "" if self._lidar is None else self._lidar.trouble
 
 
 def _write(row: Array, pose: Pose) -> None:

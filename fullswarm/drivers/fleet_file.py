@@ -15,6 +15,7 @@ from fullswarm import registry
 from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
 from fullswarm.config.fleet_file import Check
 from fullswarm.drivers.base import Description
+from fullswarm.drivers.lidar.settings import parse_url
 from fullswarm.drivers.make import Claim, emulated, make_of
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean, nearest
 
@@ -57,6 +58,7 @@ def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str
         schemes = schemes or registry.driver_schemes()
         if scheme not in schemes and (nearest(scheme, schemes) or (here and not robot.elsewhere)):
             yield robot.id, "driver", f"no driver for '{scheme or robot.url}', {did_you_mean(scheme, schemes)}"
+    yield from _lidar_problems(config)
     taken: dict[tuple[str, ...], RobotConfig] = {}
     for robot in config.robot:
         if not robot.driver or not (here or robot.elsewhere):
@@ -66,6 +68,28 @@ def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str
             if other is not robot:
                 yield robot.id, "driver", f"{' '.join(claim.words)} is taken by {other.id}: {claim.advice}"
                 break
+
+
+def _lidar_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
+    taken: dict[tuple[str, str], str] = {}
+    for robot in config.robot:
+        if not robot.ranges:
+            continue
+        if robot.simulated:
+            yield (
+                robot.id,
+                "ranges",
+                f"a simulated robot has no lidar on a port: write [world.bodies.{robot.id}] ranges",
+            )
+            continue
+        try:
+            settings = parse_url(robot.ranges)
+        except ConfigError as error:
+            yield robot.id, "ranges", f"{error.what}{f'; {error.hint}' if error.hint else ''}"
+            continue
+        other = taken.setdefault((robot.host if robot.elsewhere else "", settings.where), robot.id)
+        if other != robot.id:
+            yield robot.id, "ranges", f"{settings.where} is taken by {other}: each robot needs a lidar of its own"
 
 
 def _claims(robot: RobotConfig) -> tuple[Claim, ...]:

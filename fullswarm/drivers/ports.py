@@ -7,6 +7,7 @@ process holds is :class:`fullswarm.drivers.guardian.GuardedPort`; a CAN bus is
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
@@ -125,6 +126,11 @@ class SerialPort(Port[bytes]):
         end_s = self._clock.now_s() + timeout_s
         while self._port.out_waiting and self._clock.now_s() < end_s:
             select.select([], [], [], 0.002)
+
+    def set_dtr(self, high: bool) -> None:
+        """Set the line DTR, where the device has one."""
+        with contextlib.suppress(OSError, termios.error):
+            self._port.dtr = high
 
     def close(self) -> None:
         """Release the device."""

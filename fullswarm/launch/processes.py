@@ -31,6 +31,7 @@ from fullswarm.runtime import Mailbox, Runtime
 
 if TYPE_CHECKING:
     from fullswarm.bus.hub import Hub
+    from fullswarm.drivers.lidar.sensor import LidarSensor
 
 RUN = "FULLSWARM_RUN"
 """Folder of the `up` or `demo` that started this process; it ends with the run, as its simulated bodies do."""
@@ -219,7 +220,7 @@ def agent(
     entry = _entry(config, robot)
     check_frames(config, (entry,))
     url = driver_url(config, entry)
-    fleet = OneRobot(robot, guarded(registry.driver_class(url)(url)))
+    fleet = OneRobot(robot, guarded(registry.driver_class(url)(url)), lidar=_lidar(entry))
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
         identity = Identity(robot, process_id(robot))
@@ -244,6 +245,16 @@ def agent(
         return [node, watch, laws, reload.RecordReloader(runtime, read_records_again, report), *more]
 
     return serve_on_bus(config, with_parent, build, robot)
+
+
+def _lidar(entry: RobotConfig) -> LidarSensor | None:
+    """Return the lidar that the fleet file gives the robot beside its driver."""
+    if not entry.ranges:
+        return None
+    from fullswarm.drivers.lidar.sensor import LidarSensor
+    from fullswarm.drivers.lidar.settings import parse_url
+
+    return LidarSensor(parse_url(entry.ranges))
 
 
 def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int:

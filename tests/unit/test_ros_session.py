@@ -10,7 +10,7 @@ import pytest
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
 from fullswarm.drivers.ros.protocol import Battery, EStop, Hazards, LaserScan, Odometry, Report
-from fullswarm.drivers.ros.session import LATE_S, SILENCE_S, Session
+from fullswarm.drivers.ros.session import LATE_S, SCAN_SILENCE_S, SILENCE_S, Session
 from fullswarm.drivers.ros.settings import parse_url
 from fullswarm.errors import LinkLost, MessageError
 
@@ -286,3 +286,29 @@ def test_a_scan_is_in_the_next_reading_with_a_stamp_of_this_clock_and_a_late_one
     reading = bench.session.read()
     assert reading is not None
     assert reading.ranges == (scan,)
+
+
+def test_a_silent_lidar_is_a_fault_until_it_scans_again() -> None:
+    bench = Bench()
+    bench.session = Session(
+        parse_url(f"{URL}&scan=scan").description, bench.wire, stamped=False, estop=False, scan_at=Pose(0.0, 0.0, 0.0)
+    )
+
+    def scan() -> None:
+        bench.take(LaserScan(0.0, 0.1, np.zeros(2), np.ones(2), 3.5))
+
+    bench.session.linked(bench.now_s)
+    bench.run(3.0)
+    assert bench.state() is Lifecycle.FAULT, "it may not drive before its lidar is there"
+    assert "no scan for 1 s" in bench.session.fault
+    scan()
+    bench.active()
+    bench.session.command(Twist(0.1, 0.0), bench.now_s)
+    bench.run(SCAN_SILENCE_S - 0.2)
+    assert bench.state() is Lifecycle.ACTIVE
+    bench.run(0.3)
+    assert bench.state() is Lifecycle.FAULT
+    assert bench.wire.commands[-1][0] == STAND
+    scan()
+    bench.run(0.1)
+    assert bench.state() is Lifecycle.READY

@@ -23,8 +23,8 @@ from fullswarm.messages import PoseFix
 SOURCE = "map"
 LONG_S = 1.0
 AGREES_M, AGREES_RAD = 0.2, 0.2
-"""A robot that was lost drives again when its agent's pose is so near what the localizer has found: the fixes of a robot
-that was carried are outliers at first, and meanwhile the pose is the old one."""
+"""A robot that was lost drives again when its agent's pose is so near what the localizer has found: the first fixes of
+one that was carried are outliers, and until they are believed its pose is the old one."""
 FREE_RAYS, FREE_SHARES = 6, (0.4, 0.8)
 """Of every so many rays, at these shares of its way: points that are free."""
 

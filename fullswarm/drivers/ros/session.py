@@ -44,6 +44,8 @@ JUMP_SHARE, JUMP_M, JUMP_RAD = 1.5, 0.05, 0.3
 ANEW_M = 1e-6
 """Counting from zero again looks like this."""
 LOW = 0.1
+SCAN_SILENCE_S = 1.0
+"""Without a scan for so long the lidar is lost: an LDS-01 turns five times a second, and Wi-Fi may lose two."""
 SCAN_SIGMA_M = 0.02
 """Standard deviation of a distance: LDS-01 and RPLIDAR A1 at 2 m, by their data sheets."""
 
@@ -129,6 +131,7 @@ class Session(LinkSession[bytes]):
         self._battery: float | None = None
         self._scan_at, self._scan_max_m = scan_at, description.ranges_max_m
         self._ranges: tuple[RangeScan, ...] = ()
+        self._scanned_s = -math.inf
         self._hazards = Hazard.NONE
         self._engaged: bool | None = None if estop else False
         self._unread = Hazard.NONE  # since the last read()
@@ -253,17 +256,25 @@ class Session(LinkSession[bytes]):
                 self.lost(self._missing(), now_s)
             elif self.unguarded:
                 self.lost(self.unguarded, now_s)
+            elif self._blind(now_s):
+                self.lost(self._missing(), now_s)
         elif self.state is Lifecycle.OPEN and now_s - self._linked_s > 4.0 * SILENCE_S > 0.0:
             self.lost(self._missing(), now_s)
 
+    def _blind(self, now_s: float) -> bool:
+        """Tell whether the lidar that the URL names is silent."""
+        return self._scan_max_m > 0.0 and now_s - self._scanned_s > SCAN_SILENCE_S
+
     def _missing(self) -> str:
         detail = self._wire.trouble or self._refused
-        if self._engaged is None and self._odometry_s is not None:
-            what = "nothing was received yet on the topic of its emergency stop: is it published there?"
-        else:
+        if self._odometry_s is None or self._ticked_s - self._odometry_s > SILENCE_S:
             what = (
                 f"no new odometry for {SILENCE_S:g} s: is its bring-up running, and are topic, namespace and rmw right?"
             )
+        elif self._engaged is None:
+            what = "nothing was received yet on the topic of its emergency stop: is it published there?"
+        else:
+            what = f"no scan for {SCAN_SILENCE_S:g} s: does its lidar turn, and is the topic of scan= right?"
         return f"{what} ({detail})" if detail else what
 
     def _take(self, report: Report, now_s: float) -> None:
@@ -287,6 +298,7 @@ class Session(LinkSession[bytes]):
             if now_s - ended_s > LATE_S:
                 self._refused = f"its scans arrive {now_s - ended_s:.1f} s late: the network is overloaded"
                 return
+        self._scanned_s = now_s
         most_m = min(report.max_m, self._scan_max_m)
         distances_m = np.where(report.distances_m > most_m, math.inf, report.distances_m)
         self._ranges = (
@@ -327,7 +339,8 @@ class Session(LinkSession[bytes]):
             battery=self._battery,
             ranges=self._ranges,
         )
-        if self.state in (Lifecycle.OPEN, Lifecycle.FAULT) and not self.unguarded and self._engaged is False:
+        well = not self.unguarded and self._engaged is False and not self._blind(now_s)
+        if self.state in (Lifecycle.OPEN, Lifecycle.FAULT) and well:
             self.state, self.fault = Lifecycle.READY, ""
             self._zeros = ZEROS  # its last driver may have been killed while it drove
 
