@@ -123,16 +123,18 @@ def test_a_scan_is_read_as_rosbags_writes_it(
     expected = [
         0.125 if each == -math.inf else each if each == math.inf or 0.125 <= each <= 3.5 else math.nan for each in rays
     ]
-    for found in (p.read_cdr(p.LASER_SCAN, cdr(message, little)), p.read_json(p.LASER_SCAN, json_of(message))):
-        assert isinstance(found, p.LaserScan)
+    of_cdr, of_json = p.read_cdr(p.LASER_SCAN, cdr(message, little)), p.read_json(p.LASER_SCAN, json_of(message))
+    assert isinstance(of_cdr, p.LaserScan)
+    assert isinstance(of_json, p.LaserScan)
+    for found in (of_cdr, of_json):
         assert found.stamp_s == pytest.approx(seconds + 1e-9 * nanoseconds)
         assert found.max_m == 3.5
         assert found.angles_rad == pytest.approx([-1.5 + 0.01 * each for each in range(len(rays))], abs=1e-4)
         assert found.duration_s == pytest.approx(0.0005 * (len(rays) - 1) if len(rays) > 1 else 0.2, abs=1e-6)
-    np.testing.assert_allclose(p.read_cdr(p.LASER_SCAN, cdr(message, little)).distances_m, expected)
+    np.testing.assert_allclose(of_cdr.distances_m, expected)
     # JSON has no infinity: rosbridge writes null.
-    of_json = [math.nan if math.isinf(each) else value for each, value in zip(rays, expected, strict=True)]
-    np.testing.assert_allclose(found.distances_m, of_json)
+    unknown = [math.nan if math.isinf(each) else value for each, value in zip(rays, expected, strict=True)]
+    np.testing.assert_allclose(of_json.distances_m, unknown)
 
 
 def test_a_scan_without_a_range_or_of_too_many_rays_is_refused() -> None:
