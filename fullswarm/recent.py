@@ -12,7 +12,7 @@ V = TypeVar("V")
 
 _write: Any = OrderedDict.__setitem__  # `super()` would take half the time of a write
 
-FORGET_S = 5.0
+FORGET_S = 4.0
 LINGER = 10.0
 """A name is forgotten when it has been silent for so many times the time in which it was received, and `FORGET_S` at
 least: an invented one soon, a robot that had been there for an hour hardly ever."""
