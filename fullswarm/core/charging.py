@@ -4,8 +4,9 @@ The robots' health reports are authoritative: each says whether its task is inte
 has got. What this node wants of a robot is sent until the report shows it. So a core that is started again takes over
 what it finds, and an interruption that a robot has ended (a stop, a stick, a failed driver) has ended here, too.
 
-No two robots get one slot. A slot in which a robot stands that was not sent there, or fell silent, is not used; one
-that does not charge, or that a robot does not reach, is said to have failed and tried again later.
+No two robots get one slot. A slot in which a robot stands that was not sent there is not used, nor one in which or
+before which a robot has fallen silent, also after a restart of the core; one that does not charge, or that a robot does
+not reach, is said to have failed and tried again later.
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ ENOUGH = 0.1
 LEAD_S = 5.0
 KEEP_S = 600.0
 ENERGY = "charging/energy/"
+OWNERS = "charging/owners"
 
 Op = Literal["wait", "go", "leave", "cancel"]
 
@@ -84,7 +86,7 @@ class Place:
     slot: Slot
     failed_until_s: float = -math.inf
     failed: Reason = NONE
-    stands: str = ""  # a robot that is in the way and was not sent there
+    stands: tuple[str, ...] = ()  # robots that are in the way and were not sent there; a silent one first
     reason: Reason = NONE  # why it is not used now
 
 
@@ -121,12 +123,14 @@ class ChargingNode:
         self._robots: dict[str, Known] = {}
         self._trips: dict[str, Trip] = {}  # by robot
         self._waiting: tuple[str, ...] = ()
+        self._owners: dict[str, str] = {}  # robot → slot, as in the database
         self._numbers, self._sequence = itertools.count(1), 0
         self._began_s, self._published_s, self._kept_s = scheduler.now_s(), -math.inf, scheduler.now_s()
         self._said: object = None
         self._timer: Timer | None = None
         self._subscription = None
         if self._places:
+            self._remember_owners()
             self._timer = scheduler.every(TICK_S, self._tick)
             self._subscription = bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True)
 
@@ -164,6 +168,23 @@ class ChargingNode:
             found.draw_per_s, found.way_per_m, found.charge_per_s = rates
         return found
 
+    def _remember_owners(self) -> None:
+        """Take robots that an earlier core sent to a slot to stand there until they say where they are."""
+        kept = self._store.get(OWNERS)
+        for robot, name in (kept if isinstance(kept, dict) else {}).items():
+            place, known = self._places.get(str(name)), self._known(robot)
+            if place is not None and known is not None:
+                self._owners[robot] = place.slot.name
+                known.x_m, known.y_m = place.slot.x_m, place.slot.y_m
+
+    def _keep_owners(self, healths: dict[str, RobotHealth]) -> None:
+        """Write into the database which robot has which slot, once that changes: a silent one keeps what it had."""
+        owners = {robot: slot for robot, slot in self._owners.items() if robot in self._robots and robot not in healths}
+        owners |= {trip.robot: trip.slot for trip in self._trips.values() if trip.slot}
+        if owners != self._owners:
+            self._owners = owners
+            self._store.keep({OWNERS: dict(owners)}, f"core {self._process}")
+
     def _keep(self) -> None:
         """Write what was learnt into the database."""
         self._kept_s = self._scheduler.now_s()
@@ -193,6 +214,7 @@ class ChargingNode:
                 if trip.robot in healths:
                     self._judge(trip, healths[trip.robot], now_s)
             self._plan(healths, now_s)
+            self._keep_owners(healths)
             for trip in self._trips.values():
                 self._send(trip)
         if now_s - self._kept_s >= KEEP_S:
@@ -249,21 +271,32 @@ class ChargingNode:
                 del self._trips[robot]
 
     def _look_at_places(self, healths: dict[str, RobotHealth], now_s: float) -> None:
-        """Find out which slots robots stand in that were not sent there."""
+        """Find out which slots robots stand in, or before, that were not sent there."""
         owners = {trip.slot: trip.robot for trip in self._trips.values() if trip.slot}
         for name, place in self._places.items():
-            owner, slot, place.stands, place.reason = owners.get(name, ""), place.slot, "", NONE
-            for robot, known in self._robots.items():
-                apart_m = math.hypot(known.x_m - slot.x_m, known.y_m - slot.y_m)
-                if robot != owner and apart_m < 2.0 * known.radius_m:
-                    place.stands = robot
-                    if robot not in healths:
-                        place.reason = reason(Code.DOCK_LOST, robot=robot)
-                    elif not healths[robot].behaviour and robot not in self._trips:  # others only pass by
-                        place.reason = reason(Code.DOCK_TAKEN, robot=robot)
-                    break
-            if now_s < place.failed_until_s and not place.reason:
+            slot, place.reason = place.slot, NONE
+            others = [robot for robot in self._robots if robot != owners.get(name, "")]
+            # One that is silent stays where it is, perhaps on the line into the slot: it must be passed there.
+            lost = [robot for robot in others if robot not in healths and self._is_in(robot, slot, slot.approach)]
+            here = [robot for robot in others if robot in healths and self._is_in(robot, slot, (slot.x_m, slot.y_m))]
+            idle = [robot for robot in here if not healths[robot].behaviour and robot not in self._trips]
+            if lost:
+                place.reason = reason(Code.DOCK_LOST, robot=lost[0])
+            elif idle:  # others only pass by
+                place.reason = reason(Code.DOCK_TAKEN, robot=idle[0])
+            elif now_s < place.failed_until_s:
                 place.reason = place.failed
+            place.stands = (*lost, *idle, *(robot for robot in here if robot not in idle))
+
+    def _is_in(self, robot: str, slot: Slot, begin: tuple[float, float]) -> bool:
+        """Tell whether a robot is within two radii of the line from `begin` into a slot."""
+        known = self._robots[robot]
+        dx, dy = slot.x_m - begin[0], slot.y_m - begin[1]
+        squared = dx * dx + dy * dy
+        along = 0.0 if squared == 0.0 else ((known.x_m - begin[0]) * dx + (known.y_m - begin[1]) * dy) / squared
+        share = min(max(along, 0.0), 1.0)
+        apart_m = math.hypot(known.x_m - begin[0] - share * dx, known.y_m - begin[1] - share * dy)
+        return apart_m < 2.0 * known.radius_m
 
     # ---------------------------------------------------------------- trips that are under way
     def _judge(self, trip: Trip, health: RobotHealth, now_s: float) -> None:
@@ -390,7 +423,7 @@ class ChargingNode:
         free = {
             name: self._apart_m(robot, place.slot)
             for name, place in self._places.items()
-            if name not in taken and not place.reason and place.stands in ("", robot)
+            if name not in taken and not place.reason and set(place.stands) <= {robot}
         }
         return nearest_free(self._slots_of(robot, health, now_s), free)
 
@@ -490,7 +523,7 @@ class ChargingNode:
         failed = bool(place.reason) and place.reason.code in (Code.DOCK_NO_CURRENT, Code.DOCK_NOT_REACHED)
         return DockState(
             dock=slot.name, x_m=slot.x_m, y_m=slot.y_m, heading_rad=slot.heading_rad, approach_m=slot.approach_m,
-            robot=place.stands if trip is None else trip.robot,
+            robot=trip.robot if trip is not None else place.stands[0] if place.stands else "",
             phase=("failed" if failed else "blocked") if place.reason else _phase(trip),
             reason=place.reason.text, code=place.reason.code,
         )  # fmt: skip

@@ -5,15 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from fullswarm.bus.local import LocalBus
+from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
+from fullswarm.core.charging import ChargingNode
+from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
-from fullswarm.messages import BehaviourRequest, ChargingStatus, EStop, RequestStatus, RobotHealth, StopRequest
+from fullswarm.messages import (
+    BehaviourRequest,
+    ChargeOrder,
+    ChargingStatus,
+    EStop,
+    RequestStatus,
+    RobotCharge,
+    RobotHealth,
+    RobotStates,
+    StopRequest,
+)
 from fullswarm.reasons import Code
+from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.store import Store
 
 LINE: list[Any] = [[3.0, 1.5], [6.5, 1.5], [6.5, 6.5], [3.0, 6.5]]
 DOCKS = [{"id": "d1", "pose": (0.4, 2.0, math.pi)}, {"id": "d2", "pose": (0.4, 6.0, math.pi)}]
@@ -280,3 +297,111 @@ def test_memory_survives_charging() -> None:
         found.until("r1", "", 240.0)
         found.swarm.run(0.1)
         assert found.swarm.agent.tasks.memory_of(0) == before
+
+
+class Roster:
+    """What a core knows of robots: those of the file, and the reports of those that are present."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.names, self.healths = names, dict[str, RobotHealth]()
+
+    def known(self) -> tuple[str, ...]:
+        return self.names
+
+    def present(self) -> tuple[str, ...]:
+        return tuple(self.healths)
+
+    def health(self, robot: str) -> RobotHealth | None:
+        return self.healths.get(robot)
+
+
+class Planner:
+    """A core's planner alone, on a simulated clock, with one dock for r1 to r3."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.roster = path, Roster(("r1", "r2", "r3"))
+        self.config = SwarmConfig.model_validate(
+            {"robot": [{"id": name} for name in self.roster.names], "dock": DOCKS[:1]}
+        )
+        self.runtime = Runtime(SimClock(), Mailbox())
+        self.bus = LocalBus(self.runtime.mailbox)
+        self.orders: list[ChargeOrder] = []
+        self.status: ChargingStatus | None = None
+        for robot in self.roster.names:
+            self.bus.subscribe(Keys().charge(robot), ChargeOrder, self.orders.append)
+        self.bus.subscribe(Keys().charging_status, ChargingStatus, self._on_status)
+        self.places: dict[str, tuple[float, float]] = {}
+        self.start()
+
+    def _on_status(self, status: ChargingStatus) -> None:
+        self.status = status
+
+    def start(self) -> None:
+        """Start a core on what is on the disk."""
+        self.store = Store(self.path)
+        self.node = ChargingNode(
+            self.bus, Keys(), self.runtime, self.config, self.store, self.roster, lambda _: (), "core"  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    def die(self) -> None:
+        """End the core."""
+        self.node.close()
+        self.store.close()
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds)):
+            names = tuple(name for name in self.places if name in self.roster.healths)
+            if names:
+                x_m, y_m = zip(*(self.places[name] for name in names), strict=True)
+                zeros = (0.0,) * len(names)
+                self.bus.publish(
+                    Keys().state("all", "h"),
+                    RobotStates(
+                        host="h", robots=names, x_m=x_m, y_m=y_m, heading_rad=zeros, speed_m_s=zeros,
+                        turn_rad_s=zeros, radius_m=(0.17,) * len(names), stamp_s=self.runtime.now_s(), sequence=0,
+                    ),
+                )  # fmt: skip
+            self.runtime.run(1.0)
+
+    def report(self, robot: str, place: tuple[float, float], battery: float, **charge: Any) -> None:
+        """Have a robot report from now on."""
+        self.places[robot] = place
+        self.roster.healths[robot] = RobotHealth(
+            robot=robot, driver="null", make="", model="", firmware="", lifecycle="ACTIVE", behaviour="perimeter_bc", battery=battery, charging=None,
+            charge=RobotCharge(**charge) if charge else None,
+        )  # fmt: skip
+
+    def fall_silent(self, robot: str) -> None:
+        del self.roster.healths[robot]
+
+    def sent(self) -> set[str]:
+        return {each.robot for each in self.orders if each.op == "go"}
+
+
+@pytest.mark.parametrize("place", [(0.4, 2.0), (0.95, 2.05)], ids=["in it", "before it"])
+@pytest.mark.parametrize("restart", [False, True])
+def test_a_dock_with_a_silent_robot_in_or_before_it_is_given_to_no_other(
+    tmp_path: Path, place: tuple[float, float], restart: bool
+) -> None:
+    planner = Planner(tmp_path / "core.db")
+    planner.report("r1", (3.0, 4.0), 0.2)
+    planner.run(6.0)
+    (order,) = {each.id: each for each in planner.orders}.values()
+    planner.report("r1", place, 0.2, id=order.id, phase="docking", dock=order.dock)
+    planner.run(3.0)
+    planner.fall_silent("r1")
+    if restart:
+        planner.die()
+        planner.start()
+    planner.report("r2", (4.0, 4.0), 0.2)
+    planner.report("r3", (0.5, 2.1), 0.9)  # passes by, and hides nothing
+    planner.run(30.0)
+    assert planner.sent() == {"r1"}
+    assert planner.status is not None
+    assert planner.status.docks[0].code == Code.DOCK_LOST
+    assert "r1" in planner.status.docks[0].reason
+    planner.report("r1", (6.0, 6.0), 0.9)  # a person has carried it away, and switched it on
+    planner.report("r3", (5.0, 6.0), 0.9)
+    planner.run(10.0)
+    assert planner.sent() == {"r1", "r2"}
+    planner.die()
