@@ -367,8 +367,8 @@ class Planner:
         """Have a robot report from now on."""
         self.places[robot] = place
         self.roster.healths[robot] = RobotHealth(
-            robot=robot, driver="null", make="", model="", firmware="", lifecycle="ACTIVE", behaviour="perimeter_bc", battery=battery, charging=None,
-            charge=RobotCharge(**charge) if charge else None,
+            robot=robot, driver="null", make="", model="", firmware="", lifecycle="ACTIVE", behaviour="perimeter_bc",
+            battery=battery, charging=None, charge=RobotCharge(**charge) if charge else None,
         )  # fmt: skip
 
     def fall_silent(self, robot: str) -> None:
