@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import structlog
@@ -38,17 +40,28 @@ class OneRobot:
 
     A port that is not there yet (a robot that is switched on after its computer) is a FAULT that people see, and is
     tried again twice a second; it does not end the agent.
+
+    Parameters
+    ----------
+    sensors : drivers without wheels whose ``Reading.ranges`` the robot has beside its own, such as lidars
     """
 
-    def __init__(self, robot: str, driver: Driver, clock: Clock | None = None) -> None:
+    def __init__(self, robot: str, driver: Driver, clock: Clock | None = None, sensors: Sequence[Driver] = ()) -> None:
         self.ids: tuple[str, ...] = (robot,)
         self.urls: tuple[str, ...] = (driver.url,)
-        self.descriptions: tuple[Description, ...] = (driver.description,)
+        described = [each.description for each in (driver, *sensors)]
+        self.descriptions: tuple[Description, ...] = (
+            replace(
+                driver.description,
+                ranges_max_m=max(each.ranges_max_m for each in described),
+                ranges_timeout_s=max(each.ranges_timeout_s for each in described),
+            ),
+        )
         self._driver = driver
         self._fixable = driver if isinstance(driver, TakesFixes) else None
         self._clock = clock or MonotonicClock()
-        self._absent: DriverError | None = None
-        self._again_s = math.inf
+        self._port = _Opened(driver, "the robot's", self._clock)
+        self._sensors = tuple(_Opened(each, "a range sensor's", self._clock) for each in sensors)
         self._activating = False
         self._last: Reading | None = None
         self._ranges: tuple[RangeScan, ...] = ()
@@ -68,21 +81,16 @@ class OneRobot:
         )
 
     def open(self) -> None:
-        """Open the driver, or try again later."""
-        try:
-            self._driver.open()
-        except DriverError as error:
-            if self._absent is None or str(error) != str(self._absent):
-                log.warning("the robot's port cannot be opened; the agent keeps trying", reason=str(error))
-            self._absent, self._again_s = error, self._clock.now_s() + RETRY_S
-        else:
-            self._absent, self._again_s = None, math.inf
+        """Open the drivers, or try again later."""
+        for each in (self._port, *self._sensors):
+            each.open()
 
     def read(self) -> FleetReading:
         """Return the newest reading as arrays of one row."""
-        if self._absent is not None and self._clock.now_s() >= self._again_s:
-            self.open()
+        self._port.open_again()
         new, rows = self._driver.read(), self._reading
+        if self._sensors:
+            self._join_ranges(() if new is None else new.ranges)
         if new is None or new is self._last:
             return rows
         self._last = new
@@ -99,11 +107,26 @@ class OneRobot:
             rows.charging[0] = -1 if new.charging is None else int(new.charging)
         rows.obstacles = new.obstacles
         rows.bodies = new.bodies
-        if new.ranges is not self._ranges:
+        if not self._sensors and new.ranges is not self._ranges:
             self._ranges = new.ranges
             rows.ranges = tuple((0, scan) for scan in new.ranges)
         rows.position_sigma_m[0] = math.nan if new.position_sigma_m is None else new.position_sigma_m
         return rows
+
+    def _join_ranges(self, own: tuple[RangeScan, ...]) -> None:
+        """Take the newest scans of all sensors; none before each has sent one, for the robot would not see all."""
+        for each in self._sensors:
+            each.open_again()
+        readings = [each.driver.read() for each in self._sensors]
+        parts = [() if each is None else each.ranges for each in readings]
+        if self._driver.description.ranges_max_m > 0.0:
+            parts.insert(0, own)
+        if not all(parts):
+            return
+        scans = tuple(scan for part in parts for scan in part)
+        if len(scans) != len(self._ranges) or any(new is not old for new, old in zip(scans, self._ranges, strict=True)):
+            self._ranges = scans
+            self._reading.ranges = tuple((0, scan) for scan in scans)
 
     def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:
         """Command the driver, activating or deactivating it first where `active` asks for it."""
@@ -122,17 +145,24 @@ class OneRobot:
     def lifecycle(self, row: int) -> Lifecycle:
         """Return the driver's state; FAULT while its port is not there."""
         del row
-        return self._driver.state if self._absent is None else Lifecycle.FAULT
+        return self._driver.state if self._port.absent is None else Lifecycle.FAULT
 
     def fault(self, row: int) -> str:
         """Return the driver's fault."""
         del row
-        return self._driver.fault if self._absent is None else str(self._absent)
+        return self._driver.fault if self._port.absent is None else str(self._port.absent)
 
     def fault_code(self, row: int) -> str:
         """Return the code of the driver's fault, if it has one."""
         del row
-        return str(getattr(self._driver, "fault_code", "") if self._absent is None else self._absent.code)
+        absent = self._port.absent
+        return str(getattr(self._driver, "fault_code", "") if absent is None else absent.code)
+
+    def ranges_fault(self, row: int) -> str:
+        """Return why sensors send no scans, with their URLs."""
+        del row
+        found = ((each.driver.url, each.driver.fault if each.absent is None else each.absent) for each in self._sensors)
+        return "; ".join(f"{url}: {fault}" for url, fault in found if fault)
 
     def firmware(self, row: int) -> str:
         """Return the device's firmware."""
@@ -171,8 +201,43 @@ class OneRobot:
         self._driver.actuate(name, found)
 
     def close(self) -> None:
-        """Close the driver."""
-        self._driver.close()
+        """Close the drivers."""
+        with contextlib.ExitStack() as end:
+            for each in self._sensors:
+                end.callback(each.driver.close)
+            self._driver.close()
+
+
+class _Opened:
+    """A driver whose port may not be there yet.
+
+    Attributes
+    ----------
+    absent : why its port could not be opened; None: it is open
+    """
+
+    def __init__(self, driver: Driver, whose: str, clock: Clock) -> None:
+        self.driver, self.absent = driver, None
+        self._whose, self._clock, self._again_s = whose, clock, math.inf
+
+    driver: Driver
+    absent: DriverError | None
+
+    def open(self) -> None:
+        """Open it, or try again later."""
+        try:
+            self.driver.open()
+        except DriverError as error:
+            if self.absent is None or str(error) != str(self.absent):
+                log.warning(f"{self._whose} port cannot be opened; the agent keeps trying", reason=str(error))
+            self.absent, self._again_s = error, self._clock.now_s() + RETRY_S
+        else:
+            self.absent, self._again_s = None, math.inf
+
+    def open_again(self) -> None:
+        """Open it if that is due."""
+        if self.absent is not None and self._clock.now_s() >= self._again_s:
+            self.open()
 
 
 def _write(row: Array, pose: Pose) -> None:

@@ -103,6 +103,10 @@ class RehearsedFleet:
         """Return no code."""
         return self._inner.fault_code(row)
 
+    def ranges_fault(self, row: int) -> str:
+        """Return that of the world."""
+        return self._inner.ranges_fault(row)
+
     def firmware(self, row: int) -> str:
         """Return that of the world."""
         return self._inner.firmware(row)

@@ -169,6 +169,11 @@ class SimFleet:
         del row
         return ""
 
+    def ranges_fault(self, row: int) -> str:
+        """Return the empty text."""
+        del row
+        return ""
+
     def firmware(self, row: int) -> str:
         """Return the engine and its version."""
         del row

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -82,6 +82,8 @@ class SessionDriver:
 class RoverAgent:
     """The agent, a heartbeat of a core, and what the agent has told."""
 
+    sensors: Sequence[Driver] = ()
+
     def __init__(self, clock: Clock, make: Callable[[Runtime], Driver], **settings: float) -> None:
         self.runtime = Runtime(clock, Mailbox())
         self.bus = LocalBus(self.runtime.mailbox)
@@ -89,8 +91,9 @@ class RoverAgent:
         config = SwarmConfig.model_validate(
             {"world": {"bounds_m": [-20, -20, 80, 20]}, "agent": settings, "robot": [{"id": "r1"}]}
         )
+        self.fleet = OneRobot("r1", self.driver, clock, self.sensors)
         self.agent = AgentNode(
-            self.bus, self.runtime, config, OneRobot("r1", self.driver, clock), Identity("r1", "p"), np.zeros((1, 3)),
+            self.bus, self.runtime, config, self.fleet, Identity("r1", "p"), np.zeros((1, 3)),
             self.runtime.stats,
         )  # fmt: skip
         self.receipts: list[tuple[float, EStopReceipt]] = []
@@ -123,11 +126,11 @@ class RoverAgent:
     def standing(self) -> bool:
         return bool(self.agent.standstill.at_standstill[0])
 
-    def drive(self) -> None:
-        """Ask for a straight drive, as fast as the rover may."""
+    def drive(self, *, filtered: bool = False) -> None:
+        """Ask for a straight drive, as fast as the rover may; `filtered`: behind the safety filter."""
         request = ControlRequest(
             request_id=f"q{next(self._orders)}", robot="r1", behaviour="move_to_goal", law="move_to_goal",
-            enable=True, core="c", sequence=next(self._sequence),
+            enable=True, filtered=filtered, core="c", sequence=next(self._sequence),
             parameters={"goal": [75.0, 0.0], "gain": 1.0, "arrive_radius_m": 0.2},
         )  # fmt: skip
         self.bus.publish(KEYS.control_requests("r1", "move_to_goal"), request)

@@ -181,6 +181,9 @@ class Reports:
             return explain_hazards(int(self._state.reading.hazards[row]), self._fleet.fault(row))[0]
         if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
+        if number == StopReason.RANGES:
+            what = self._fleet.ranges_fault(row)
+            return reason(Code.RANGES, what=what and f" ({what})")
         if number == StopReason.MOVING:
             why = self._blocked.get(row, NONE) or self._waiting.reason(row, self._now_s) or self._charging.reason(row)
             return why or (reason(Code.SETTLED) if self._settled_by[row] else NONE)
@@ -208,6 +211,9 @@ class Reports:
             request = task.request if task else NO_REQUEST
             pose = self._fixes.health(row, sensed[row])
             why, messages = self._why(row, reasons[row]), self._message_note(row)
+            fault, fault_code = fleet.fault(row), fleet.fault_code(row)
+            if not fault and (fault := fleet.ranges_fault(row)):
+                fault_code = Code.RANGES
             stated_m = stated[row] if pose.position_sigma_m < 0.0 else math.nan
             yield RobotHealth(
                 robot=robot,
@@ -225,8 +231,8 @@ class Reports:
                 stop_reason=why.text,
                 stop_code=why.code,
                 stop_parameters=dict(why.parameters),
-                fault=fleet.fault(row),
-                fault_code=fleet.fault_code(row),
+                fault=fault,
+                fault_code=fault_code,
                 battery=battery[row],
                 charging=None if flows[row] < 0 else bool(flows[row]),
                 charge=self._charging.report(row, self._now_s),
