@@ -50,6 +50,15 @@ DRIVERS = MappingProxyType(
 )
 """Each scheme's record (:class:`fullswarm.drivers.make.Make`). `robots find` tries them in this order."""
 
+RANGE_SENSORS = MappingProxyType(
+    {
+        scheme: f"fullswarm.drivers.lidar:{record}"
+        for record, names in {"LDROBOT": ("ld06", "ld19"), "SLAMTEC": ("rplidar",)}.items()
+        for scheme in (*names, *(f"{name}+tcp" for name in names))
+    }
+)
+"""Records of the drivers without wheels, for ``ranges`` in ``[[robot]]``."""
+
 _LAWS = "fullswarm.agent.behaviours"
 LAWS = MappingProxyType(
     {
@@ -128,7 +137,7 @@ def driver_target(url: str) -> str:
         Unknown scheme.
     """
     scheme = urlsplit(url).scheme
-    target = DRIVERS.get(scheme) or _entry_point(DRIVER_GROUP, scheme)
+    target = DRIVERS.get(scheme) or RANGE_SENSORS.get(scheme) or _entry_point(DRIVER_GROUP, scheme)
     if target is None:
         raise ConfigError(f"no driver for '{scheme or url}'", where=url, hint=did_you_mean(scheme, driver_schemes()))
     return target

@@ -59,9 +59,9 @@ def fleet_robots(context: typer.Context, incomplete: str) -> Offer:
 
 def emulated_makes(incomplete: str) -> Offer:
     """Offer the makes that can be emulated."""
-    from fullswarm.drivers.make import makes
+    from fullswarm.drivers.make import makes, range_sensors
 
-    return _listed([(each.name, each.robots) for each in makes() if each.emulation], incomplete)
+    return _listed([(each.name, each.robots) for each in (*makes(), *range_sensors()) if each.emulation], incomplete)
 
 
 def behaviours(context: typer.Context, incomplete: str) -> Offer:

@@ -143,7 +143,7 @@ def emulate(
         str,
         typer.Argument(
             metavar="MAKE",
-            help="create, mavlink, odrive, vesc, or one of an outside package.",
+            help="create, mavlink, odrive, vesc, ld19, rplidar, or one of an outside package.",
             autocompletion=completion.emulated_makes,
         ),
     ],

@@ -413,6 +413,7 @@ class RobotConfig(Section):
     pose: tuple[Coordinate, Coordinate, float] | None = None  # start: x, y (m), heading (rad)
     charging: RobotChargingConfig = RobotChargingConfig()
     fixes: Annotated[str, Field(max_length=500)] = ""  # URL of a sensor on board that its agent reads: gnss:///dev/tty…
+    ranges: Annotated[str, Field(max_length=500)] = ""  # URL of a range sensor on board: ld19:///dev/tty…
     capabilities: tuple[Ability, ...] = Field((), max_length=32)  # beside those of its make: "carry", "camera"
     tag: TagNumber | None = None  # that cameras see; None: its number in the file, from 1
     tag_size_m: float | None = Field(None, ge=0.01, le=10.0)  # None: as in [tags]

@@ -25,6 +25,7 @@ Further files:
 ``ros/``                 ROS robots that take ``cmd_vel`` and give ``odom``, over rmw_zenoh, zenoh-bridge-ros2dds or
                          rosbridge
 ``sim/``                 The simulated make
+``lidar/``               Lidars that are added to any make's robot: LD06, LD19, RPLIDAR
 ``linked.py``            Runs the session with one robot for every make: thread, port, rules of the contract
 ``ports.py``             Opens serial devices, TCP and UDP, and reports what to do where that fails
 """

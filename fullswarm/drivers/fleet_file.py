@@ -51,28 +51,53 @@ def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str
     for robot in config.robot:
         if robot.emulate and robot.emulate not in words:
             yield robot.id, "emulate", f"no emulated robot '{robot.emulate}', {did_you_mean(robot.emulate, words)}"
+        if robot.ranges and (what := _wrong_sensor(robot)):
+            yield robot.id, "ranges", what
         scheme = urlsplit(robot.url).scheme
         if scheme in registry.DRIVERS:
+            continue
+        if scheme in registry.RANGE_SENSORS:
+            yield (
+                robot.id,
+                "driver",
+                f"this is a range sensor: write ranges = '{robot.url}', and the robot's driver here",
+            )
             continue
         schemes = schemes or registry.driver_schemes()
         if scheme not in schemes and (nearest(scheme, schemes) or (here and not robot.elsewhere)):
             yield robot.id, "driver", f"no driver for '{scheme or robot.url}', {did_you_mean(scheme, schemes)}"
-    taken: dict[tuple[str, ...], RobotConfig] = {}
+    taken: dict[tuple[str, ...], tuple[str, str]] = {}
     for robot in config.robot:
-        if not robot.driver or not (here or robot.elsewhere):
-            continue
-        for claim in _claims(robot):
-            other = taken.setdefault((robot.host if robot.elsewhere else "", *claim.words), robot)
-            if other is not robot:
-                yield robot.id, "driver", f"{' '.join(claim.words)} is taken by {other.id}: {claim.advice}"
-                break
+        for key, url in (("driver", robot.driver), ("ranges", robot.ranges)):
+            if not url or not (here or robot.elsewhere):
+                continue
+            for claim in _claims(robot, url):
+                place = (robot.host if robot.elsewhere else "", *claim.words)
+                other, of = taken.setdefault(place, (robot.id, key))
+                if (other, of) != (robot.id, key):
+                    yield robot.id, key, f"{' '.join(claim.words)} is taken by {other}: {claim.advice}"
+                    break
 
 
-def _claims(robot: RobotConfig) -> tuple[Claim, ...]:
+def _wrong_sensor(robot: RobotConfig) -> str:
+    """Return what is wrong with the URL of a robot's range sensor; empty: nothing."""
+    scheme = urlsplit(robot.ranges).scheme
+    if robot.url.startswith("sim:"):
+        return "a simulated robot has a simulated range sensor: [world.bodies.ID] ranges = {}"
+    if scheme not in registry.RANGE_SENSORS and scheme not in registry.driver_schemes():
+        return f"no range sensor '{scheme or robot.ranges}', {did_you_mean(scheme, registry.RANGE_SENSORS)}"
     try:
-        return make_of(robot.url).claims_of(robot.url, elsewhere=robot.elsewhere)
+        description: Description = registry.driver_class(robot.ranges)(robot.ranges).description
+    except FullswarmError as error:
+        return str(error)
+    return "" if description.ranges_max_m > 0.0 else f"'{scheme}' measures no ranges"
+
+
+def _claims(robot: RobotConfig, url: str) -> tuple[Claim, ...]:
+    try:
+        return make_of(url).claims_of(url, elsewhere=robot.elsewhere)
     except ConfigError:  # no such driver here: reported above, or another computer has it
-        return (Claim(("the URL", robot.url)),)
+        return (Claim(("the URL", url)),)
 
 
 # ---------------------------------------------------------------- frames of positions

@@ -284,6 +284,11 @@ def built_in() -> tuple[Make, ...]:
     return tuple({make.name: make for scheme in registry.DRIVERS for make in (make_of(f"{scheme}:"),)}.values())
 
 
+def range_sensors() -> tuple[Make, ...]:
+    """Return the records of this package's range sensors: drivers without wheels, which no `makes` contain."""
+    return tuple({make.name: make for scheme in registry.RANGE_SENSORS for make in (make_of(f"{scheme}:"),)}.values())
+
+
 def broken() -> dict[str, str]:
     """Return why an outside make could not be read, by the scheme of its entry point."""
     return {scheme: each for scheme, each in _records().items() if isinstance(each, str)}
@@ -317,14 +322,14 @@ def make_of(url: str) -> Make:
 
 
 def named(name: str) -> Make:
-    """Return the make of that name that can be emulated.
+    """Return the make, or range sensor, of that name that can be emulated.
 
     Raises
     ------
     ConfigError
         There is none.
     """
-    known = {each.name: each for each in makes() if each.emulation}
+    known = {each.name: each for each in (*makes(), *range_sensors()) if each.emulation}
     if name not in known:
         choice = ", ".join(f"'{each}'" for each in known)
         raise ConfigError(f"'{name}' is not one of {choice}", where="emulate", hint=did_you_mean(name, known))

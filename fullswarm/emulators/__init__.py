@@ -6,5 +6,6 @@ A make's record (:mod:`fullswarm.drivers.make`) names the functions of its folde
 - ``base.py``: the shell of all emulated robots: thread, links with injected faults, plugging; what a firmware must do
 - ``ports.py``: the robot's ends of real links: pseudo terminal, UDP, TCP
 - ``can/``, ``create_oi/``, ``mavlink/``, ``ros/``: each make's firmware, and what its record names
+- ``lidar/``: LD06, LD19 and RPLIDAR lidars, which measure boxes around a body
 - ``mocap/``: players of motion capture systems, which speak the vendors' formats
 """

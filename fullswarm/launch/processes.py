@@ -219,7 +219,8 @@ def agent(
     entry = _entry(config, robot)
     check_frames(config, (entry,))
     url = driver_url(config, entry)
-    fleet = OneRobot(robot, guarded(registry.driver_class(url)(url)))
+    lidars = [registry.driver_class(each)(each) for each in (entry.ranges,) if each]
+    fleet = OneRobot(robot, guarded(registry.driver_class(url)(url)), sensors=lidars)
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
         identity = Identity(robot, process_id(robot))

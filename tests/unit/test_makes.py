@@ -12,7 +12,7 @@ import pytest
 from fullswarm import registry
 from fullswarm.drivers import make as records
 from fullswarm.drivers.guardian import takes_guardian
-from fullswarm.drivers.make import Make, built_in, emulated, make_of, part
+from fullswarm.drivers.make import Make, built_in, emulated, make_of, part, range_sensors
 
 README = Path(__file__).parents[2] / "fullswarm" / "drivers" / "README.md"
 
@@ -22,7 +22,7 @@ def row(make: Make) -> str:
     return f"| `{make.example}` | {make.robots} | {make.limits} | {'' if make.simulated else make.proven()} |"
 
 
-@pytest.mark.parametrize("make", built_in(), ids=lambda make: make.name)
+@pytest.mark.parametrize("make", [*built_in(), *range_sensors()], ids=lambda make: make.name)
 def test_what_a_record_names_exists(make: Make) -> None:
     assert all(make_of(f"{scheme}:") is make for scheme in make.schemes)
     driver = make.driver_class()(make.example)
@@ -34,13 +34,13 @@ def test_what_a_record_names_exists(make: Make) -> None:
     assert make.guarded == takes_guardian(driver)
 
 
-@pytest.mark.parametrize("make", built_in(), ids=lambda make: make.name)
+@pytest.mark.parametrize("make", [*built_in(), *range_sensors()], ids=lambda make: make.name)
 def test_the_documentation_shows_each_make_with_its_evidence(make: Make) -> None:
     assert row(make) in README.read_text("utf-8").splitlines(), f"write into drivers/README.md: {row(make)}"
 
 
 def test_no_make_claims_hardware_that_the_readme_denies() -> None:
-    assert not any(each.on_hardware for each in built_in())
+    assert not any(each.on_hardware for each in (*built_in(), *range_sensors()))
     assert "have never driven hardware" in (README.parents[2] / "README.md").read_text("utf-8")
 
 
