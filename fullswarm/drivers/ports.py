@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import select
 import socket
@@ -21,6 +22,7 @@ from typing import Protocol, TypeVar
 import serial
 
 from fullswarm.clock import Clock, MonotonicClock
+from fullswarm.drivers.base import Pose
 from fullswarm.errors import ConfigError, DriverError
 from fullswarm.reasons import Code
 
@@ -97,6 +99,18 @@ def parse_address(text: str, where: str) -> tuple[str, int]:
     if not colon or not host or ":" in host or not port.isascii() or not port.isdigit() or int(port) > 65535:
         raise ConfigError(f"'{text}' is not an address", where=where, hint="write host:port, e.g. 192.168.7.20:7700")
     return host, int(port)
+
+
+def parse_mount(text: str, option: str, where: str) -> Pose:
+    """Return where on the robot a sensor is, of ``x,y,heading`` in m and rad; `ConfigError` otherwise."""
+    try:
+        numbers = [float(each) for each in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not all(math.isfinite(each) and abs(each) < 10.0 for each in numbers):
+        hint = f"x,y,heading in m and rad, e.g. {option}=0.1,0,1.571"
+        raise ConfigError(f"{option} '{text}' is no place on the robot", where=where, hint=hint)
+    return Pose(*numbers)
 
 
 class SerialPort(Port[bytes]):

@@ -30,7 +30,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from fullswarm.drivers.base import Pose
 from fullswarm.drivers.lidar.protocol import Codec, LdCodec, RplidarCodec
-from fullswarm.drivers.ports import parse_address
+from fullswarm.drivers.ports import parse_address, parse_mount
 from fullswarm.errors import ConfigError, did_you_mean
 
 OPTIONS = ("at", "baud", "flipped", "least", "max", "name")
@@ -103,7 +103,8 @@ def parse_url(url: str) -> Settings:
     return Settings(
         kind, "" if parts.netloc else parts.path, host, port,
         baud=int(_number(url, options, "baud", 0.0, 0.0, 4e6)),
-        at=_at(url, options), flipped=options.get("flipped", "0") == "1",
+        at=parse_mount(options["at"], "at", url) if "at" in options else MIDDLE,
+        flipped=_number(url, options, "flipped", 0.0, 0.0, 1.0) == 1.0,
         max_m=_number(url, options, "max", kind.max_m, 0.1, 100.0),
         least=_number(url, options, "least", 0.05, 0.0, 1.0), name=options.get("name", "ranges"),
     )  # fmt: skip
@@ -119,16 +120,3 @@ def _number(url: str, options: dict[str, str], name: str, usual: float, low: flo
     if not low <= value <= high:
         raise ConfigError(f"{name} '{options[name]}' is not a number from {low:g} to {high:g}", where=url)
     return value
-
-
-def _at(url: str, options: dict[str, str]) -> Pose:
-    if "at" not in options:
-        return MIDDLE
-    try:
-        numbers = [float(each) for each in options["at"].split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3 or not all(math.isfinite(each) and abs(each) < 10.0 for each in numbers):
-        hint = "x,y,heading in m and rad, e.g. at=0.1,0,1.571"
-        raise ConfigError(f"at '{options['at']}' is no place on the robot", where=url, hint=hint)
-    return Pose(*numbers)

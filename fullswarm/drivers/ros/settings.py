@@ -43,7 +43,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from fullswarm.drivers.base import Description, Limits, Pose
 from fullswarm.drivers.make import Claim
-from fullswarm.drivers.ports import parse_address
+from fullswarm.drivers.ports import parse_address, parse_mount
 from fullswarm.drivers.ros.models import MIDDLE, MODELS, Model
 from fullswarm.errors import ConfigError, did_you_mean
 
@@ -132,7 +132,8 @@ def parse_url(url: str) -> Settings:
         _transport(url, parts.netloc, options), host, port, namespace,
         Topics(*(_topic(url, name, options, model, namespace) for name in TOPICS)), described,
         stamped=_flag(url, "stamped", options, model.stamped) or False, domain=_domain(url, options),
-        guardian=_flag(url, "guardian", options, None), scan_at=_scan_at(url, options, model),
+        guardian=_flag(url, "guardian", options, None),
+        scan_at=parse_mount(options["scan_at"], "scan_at", url) if "scan_at" in options else model.scan_at,
     )  # fmt: skip
 
 
@@ -188,19 +189,6 @@ def _scan_max(url: str, options: dict[str, str], model: Model) -> float:
     if "scan_max" not in options and not model.scan_max_m:
         raise ConfigError("it is not known how far its lidar sees", where=url, hint="add scan_max=, in m")
     return _number(url, "scan_max", options, model.scan_max_m)
-
-
-def _scan_at(url: str, options: dict[str, str], model: Model) -> Pose:
-    if "scan_at" not in options:
-        return model.scan_at
-    try:
-        numbers = [float(each) for each in options["scan_at"].split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3 or not all(math.isfinite(each) and abs(each) < 10.0 for each in numbers):
-        hint = "x,y,heading in m and rad, e.g. scan_at=-0.04,0,1.571"
-        raise ConfigError(f"scan_at '{options['scan_at']}' is no place on the robot", where=url, hint=hint)
-    return Pose(*numbers)
 
 
 def _refuse_unstoppable(url: str, options: dict[str, str], host: str, description: Description) -> None:
