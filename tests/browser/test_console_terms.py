@@ -118,8 +118,21 @@ def test_what_the_core_refuses_and_what_is_no_role_is_said(calm: Console, observ
     expect(calm.named("refusal")).to_contain_text('Who has which role: "leader r1" gives no role')
     expect(roles).to_be_focused()
     snap(calm.page, "terms-refused")
-    expect(calm.page.locator("#hint")).to_be_hidden(timeout=15_000)  # the stop panel of the next test would move it
     assert observer.fresh().all_stand_with("")
+
+
+def test_what_is_read_is_not_moved_by_a_banner_that_appears(calm: Console, observer: Observer) -> None:
+    calm.select(["r1"])
+    choose(calm, "flocking_bc")
+    calm.named("terms").click()
+    calm.named("behaviour-form").get_by_label("Capabilities").fill("welder")
+    calm.named("start").click()
+    hint, stops = calm.page.locator("#hint"), calm.named("stop-receipts")
+    expect(hint).to_be_visible()
+    read = hint.bounding_box()
+    observer.operator.stop()
+    expect(stops).to_be_visible()
+    assert hint.bounding_box() == read
 
 
 @pytest.mark.skipif(NPM is None, reason="no npm here to fetch axe-core: apt install nodejs npm")

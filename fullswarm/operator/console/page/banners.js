@@ -31,6 +31,7 @@ export class Banners {
     byId("question-no").addEventListener("click", () => (byId("question").hidden = true));
     byId("question-yes").addEventListener("click", () => this.#take());
     byId("lost-close").addEventListener("click", () => (byId("lost").hidden = true));
+    inOrderOfAppearance(byId("banners"));
     this.#check();
   }
 
@@ -101,4 +102,19 @@ export class Banners {
     this.#takeOver?.();
     this.#takeOver = null;
   }
+}
+
+/**
+ * Show each child that appears below those that are shown already: what is being read, or about to be clicked, stays.
+ * @param {HTMLElement} container
+ */
+function inOrderOfAppearance(container) {
+  let appeared = 0;
+  const watch = new MutationObserver((changes) => {
+    for (const { target, oldValue } of changes) {
+      const appears = target instanceof HTMLElement && target.parentElement === container && oldValue !== null && !target.hidden;
+      if (appears) target.style.order = String(++appeared);
+    }
+  });
+  watch.observe(container, { subtree: true, attributeFilter: ["hidden"], attributeOldValue: true });
 }
