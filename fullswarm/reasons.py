@@ -39,6 +39,7 @@ class Code(enum.StrEnum):
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
     VERSION = "version"  # process, software, own, kinds
     UNSURE = "unsure"
+    RANGES = "ranges"
     SETTLED = "settled"
     SILENT = "silent"  # robots: their names
     FLOOD = "flood"  # robot: the sender; per_s
@@ -115,6 +116,7 @@ TEXTS: dict[Code, str] = {
     "the older one (a robot with `fullswarm update`); until then robots can be driven by hand only",
     Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
     "it continues once that is back",
+    Code.RANGES: "its range sensor is silent, so it does not see where it drives; it continues once scans come",
     Code.SETTLED: "arrived as near as possible: the places nearer to its goal are taken, or there is no way to them; "
     "it goes on when there is room",
     Code.SILENT: "waits for robots that are silent: {robots}; it cannot see where they are. Restart or remove them, or "

@@ -228,7 +228,7 @@ class AgentNode:
         self._sees_obstacles = any(each.senses_obstacles for each in fleet.descriptions)
         self._static: Array | None = None
         self._measured: Array | None = None
-        self._doubt = _doubt(self.reflexes, self.pose_conflicts)
+        self._doubt = _doubt(self.reflexes, self.pose_conflicts, self.ranges)
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
         self._cell_m, self._sequence, self._dirty = config.state_cell_m, 0, False
@@ -565,11 +565,11 @@ def _reflexes(config: SwarmConfig, fleet: Fleet, accel: Array, thresholds: Thres
     return Reflexes(config.bounds_m, thresholds, accel, sigma_limit_m)
 
 
-def _doubt(reflexes: Reflexes, conflicts: PoseConflicts) -> Doubt:
+def _doubt(reflexes: Reflexes, conflicts: PoseConflicts, ranges: RangeSense) -> Doubt:
     return Doubt(
         battery_low=reflexes.battery_low, clock_jumped=reflexes.clock_jumped,
         pose_unknown=reflexes.pose_unknown, pose_uncertain=reflexes.pose_uncertain, overlap=conflicts.overlap,
-        frame_conflict=conflicts.frame_conflict, floor=reflexes.floor, ceiling=reflexes.ceiling,
+        frame_conflict=conflicts.frame_conflict, blind=ranges.blind, floor=reflexes.floor, ceiling=reflexes.ceiling,
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ Files:
 ``local.py``           the bus within one process: every message is delivered once, in the order of publishing
 ``network_faults.py``  injected faults of the network: their text, and a bus that loses, delays, doubles, reorders and
                        partitions
+``refusals.py``        logs what a secured hub refuses, by certificate
 ``renewal.py``         starts the renewal of certificates in a process
 ``tls.py``             settings of a secured link, and why a client and a secured hub do not connect
 ``versions.py``        finds processes of another release, whose messages this one cannot read

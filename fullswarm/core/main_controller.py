@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import msgspec
+import structlog
 
 from fullswarm.bus import Bus
 from fullswarm.core.behaviours import Library, Record
@@ -49,6 +51,13 @@ from fullswarm.runtime import Scheduler
 UNNAMED = "an unnamed operator"
 FLOOD = 20
 """Different stops within a second."""
+ENDED: frozenset[Phase] = frozenset({"refused", "superseded", "ended"})
+RESENT_S = 2.0
+"""An operator repeats a request until it is answered: its last copy comes no later after the answer."""
+REPORT_S = 1.0
+"""Between two log lines about requests that were sent again."""
+
+log = structlog.get_logger()
 
 
 class Halted(NamedTuple):
@@ -84,6 +93,7 @@ class MainController:
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
         self._on_stop: list[Callable[[Halted], None]] = []
         self._stops_s: deque[float] = deque(maxlen=FLOOD)
+        self._reported_s = -math.inf
         self.version_problem: Callable[[str], Reason] = lambda _: NONE
         """Why the core and a robot cannot work together, see :class:`~fullswarm.bus.versions.VersionWatch`."""
         handler.watch_holders(remapper.narrow)
@@ -143,12 +153,21 @@ class MainController:
             if request.behaviour == STOP:
                 self._record_stop(request)
             if self.knows(request.id):
+                self._report_replay(request)
                 self._board.repeat(request.id)
             else:
                 self._accept(request)
         except RequestRefused as error:
             text = f"{error.what} ({error.hint})" if error.hint else error.what
             self._refuse(request, given(text, error.code, error.parameters))
+
+    def _report_replay(self, request: BehaviourRequest) -> None:
+        """Log a request that ended long ago, once per second: somebody has recorded it and sends it again."""
+        now_s, status = self._scheduler.now_s(), self._board.get(request.id)
+        ended = status is not None and status.phase in ENDED and now_s - status.stamp_s > RESENT_S
+        if ended and now_s - self._reported_s >= REPORT_S:
+            self._reported_s = now_s
+            log.warning("request ignored: it has ended, and is sent again", id=request.id, operator=request.operator)
 
     def _record_stop(self, request: BehaviourRequest | StopRequest | EStop) -> None:
         """Record when a stop or e-stop was sent: what was requested before it must not start robots after it."""

@@ -128,6 +128,8 @@ class Standstill:
 
 
 EXACT = Standstill()
+RANGES_TIMEOUT_S = 0.5
+"""A robot whose range sensor has been silent for so long does not see where it drives."""
 POSE_SIGMA_M = 0.05
 
 
@@ -163,6 +165,7 @@ class Description:
     senses_bumps: bool = False
     bodies_range_m: float = 0.0  # of the sense of `Reading.bodies`; 0: it has none
     ranges_max_m: float = 0.0  # of the sense of `Reading.ranges`, of its farthest sensor; 0: it has none
+    ranges_timeout_s: float = RANGES_TIMEOUT_S  # without a newer scan for so long it carries out no behaviour
     watchdog_s: float | None = None  # the device's own: it stops by itself after this silence; None: it has none
     standstill: Standstill = EXACT
     pose_sigma_m: float = POSE_SIGMA_M  # standard deviation of a sensed position, per axis, while all is well

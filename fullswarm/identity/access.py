@@ -194,7 +194,7 @@ TOPICS: tuple[Topic, ...] = (
         _OWN_ROBOT | _TRUTH,
         _CORE | _PEOPLE,
     ),
-    Topic("summary/<metric>", (Summary,), _CORE, _PEOPLE),
+    Topic("summary/<metric>", (Summary,), _CORE, _CORE | _PEOPLE),
     Topic("identity/<name>/renew", (CertificateRequest,), _own(*_CLIENTS), _CORE),
     Topic("identity/<name>/certificate", (CertificateReply,), _CORE, _own(*_CLIENTS)),
     Topic("params/*/request", (ParamRequest,), _OPERATORS, _CORE),

@@ -113,7 +113,8 @@ def hub_at(endpoint: str, swarm: str, insecure_network: bool) -> Hub:
 
 
 def _secured_hub(runtime: Runtime, endpoint: str, swarm: str, with_parent: bool) -> int:
-    """Serve as a secured hub, and follow changes of the list of valid certificates and of its own certificate."""
+    """Serve as a secured hub: follow the list of valid certificates and the own certificate, log what is refused."""
+    from fullswarm.bus.refusals import REPORT_S, RefusalLog
     from fullswarm.identity import read_grants
     from fullswarm.identity.folder import credentials_for, grants_file
     from fullswarm.output import progress
@@ -137,10 +138,16 @@ def _secured_hub(runtime: Runtime, endpoint: str, swarm: str, with_parent: bool)
         hub.reopen(grants)
         log.info("the list of valid certificates has changed", certificates=len(grants))
 
-    with hub:
-        progress(f"hub: listening at {endpoint}, for the valid certificates of swarm '{swarm}'")
-        runtime.every(GRANTS_CHECK_S, follow)
-        return _serve(runtime, [], with_parent)
+    refusals = RefusalLog(runtime.now_s)
+    refusals.start()
+    try:
+        with hub:
+            progress(f"hub: listening at {endpoint}, for the valid certificates of swarm '{swarm}'")
+            runtime.every(GRANTS_CHECK_S, follow)
+            runtime.every(REPORT_S, refusals.report)
+            return _serve(runtime, [], with_parent)
+    finally:
+        refusals.close()
 
 
 def contents(paths: Iterable[Path]) -> tuple[bytes | None, ...]:

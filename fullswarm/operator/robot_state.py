@@ -26,6 +26,7 @@ _CAUSES: dict[str, str] = {
     Code.WHEEL_DROP: _FLOOR,
     Code.OVERCURRENT: "Free its wheels.",
     Code.MOTORS_OFF: "Release its safety switch.",
+    Code.RANGES: "Check cable and power of its range sensor, and that nothing covers it; it continues by itself.",
 }
 _STOPS: dict[str, str] = _CAUSES | {
     Code.DRIVER: "Wait a moment; if it persists, the robot's log shows what its driver waits for.",

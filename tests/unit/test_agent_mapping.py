@@ -245,3 +245,25 @@ def test_a_planner_gets_few_boxes_without_gaps_and_without_the_arenas_edge() -> 
     assert len(found) <= 6
     assert np.abs(found[:, :2]).max() < 1.0
     assert (4.0 * found[:, 2] * found[:, 3]).sum() == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_robot_is_blind_before_its_first_scan_and_when_any_sensor_is_silent() -> None:
+    seeing = Description("x", "", 0.2, Limits(0.5, 4.0, 2.0, 20.0), ranges_max_m=6.0)
+    without = Description("x", "", 0.2, Limits(0.5, 4.0, 2.0, 20.0))
+    sense = RangeSense([seeing, without], table(), (-5.0, -5.0, 5.0, 5.0), 0.05, np.array([0.2, 0.2]))
+
+    def look(now_s: float, *stamps_s: float) -> list[bool]:
+        angles = np.linspace(-3.0, 3.0, 60)
+        scans = tuple(
+            (0, RangeScan(stamp_s, angles, np.full(60, 2.0), 6.0, name=str(place)))
+            for place, stamp_s in enumerate(stamps_s)
+        )
+        sense.update(now_s, np.array([[math.nan] * 3, [0.0, 0.0, 0.0]]), np.zeros((2, 2)), np.zeros((2, 2)), scans)
+        return list(sense.blind.tolist())
+
+    assert look(0.0) == [True, False]
+    assert look(1.0, 1.0) == [False, False]  # although where it is is not known
+    assert look(1.5, 1.0) == [False, False]
+    assert look(1.51, 1.0) == [True, False]
+    assert look(2.0, 1.9, 1.9) == [False, False]
+    assert look(2.5, 2.4, 1.9) == [True, False]

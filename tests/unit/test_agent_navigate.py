@@ -13,7 +13,7 @@ from fullswarm.agent.behaviours import navigate
 from fullswarm.agent.navigation import planner
 from fullswarm.agent.navigation.geometry import Bounds
 from fullswarm.agent.navigation.roadmap import Clearance, Roadmap, build_roadmap
-from fullswarm.agent.neighbours.obstacle_map import GIVEN, OWN, SHARED, ObstacleMap
+from fullswarm.agent.neighbours.obstacle_map import GIVEN, MOST, OWN, SHARED, ObstacleMap
 from fullswarm.agent.safety.deadlock import ANGLE_RAD, BLOCKED_S, Deadlocks, chance
 from fullswarm.agent.view import Params, View
 from tests.unit.agent_bench import Bench
@@ -97,16 +97,32 @@ def test_each_knows_what_it_has_seen_and_all_what_anybody_has() -> None:
 
 def test_what_others_tell_is_shared_and_not_own() -> None:
     obstacle_map = ObstacleMap(1, BOXES[:0])
-    obstacle_map.add_shared(BOXES)
-    obstacle_map.add_shared(BOXES + 1e-5)  # the same ones, rounded elsewhere
+    obstacle_map.add_told("r2", BOXES)
+    obstacle_map.add_told("r3", BOXES + 1e-5)  # the same ones, rounded elsewhere
     assert len(obstacle_map.known(0, SHARED)) == 2
     assert len(obstacle_map.known(0, OWN)) == 0
 
 
-def test_an_atlas_has_an_end() -> None:
+MANY = np.column_stack([np.arange(3000.0)] + [np.zeros(3000)] * 5)
+
+
+def test_an_obstacle_map_has_an_end() -> None:
     obstacle_map = ObstacleMap(1, BOXES[:0])
-    obstacle_map.add_shared(np.column_stack([np.arange(3000.0)] + [np.zeros(3000)] * 5))
-    assert len(obstacle_map.known(0, SHARED)) == 1000
+    for host in ("r2", "r3"):
+        obstacle_map.add_told(host, MANY + len(host) * 0.25 * (host == "r3"), MOST)
+    assert len(obstacle_map.known(0, SHARED)) == MOST
+
+
+def test_obstacles_that_a_robot_made_up_end_with_its_next_report_and_take_no_room() -> None:
+    obstacle_map = ObstacleMap(1, BOXES[:0])
+    place = np.array([[1.0, 1.0]])
+    obstacle_map.add_told("liar", np.vstack([BOXES + 0.5, MANY]), MOST)
+    assert obstacle_map.add_sensed(place, BOXES[:1], 3.0) == 1, "there is room for what the robot senses itself"
+    obstacle_map.add_told("r3", BOXES[1:])
+    assert {tuple(each) for each in BOXES.tolist()} <= {tuple(each) for each in obstacle_map.known(0, SHARED).tolist()}
+    assert obstacle_map.seen().tolist() == BOXES[:1].tolist(), "what others report is not passed on as seen"
+    obstacle_map.add_told("liar", BOXES[:0])
+    assert obstacle_map.known(0, SHARED).tolist() == BOXES.tolist()
 
 
 # ---------------------------------------------------------------- stepping aside

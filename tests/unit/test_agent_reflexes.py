@@ -294,3 +294,28 @@ def test_a_late_make_states_what_its_stop_takes_beyond_its_brakes() -> None:
             assert (*heard[-1].stop_extra_m, *heard[-1].stop_extra_s) == pytest.approx(expected)
             assert expected[0] > 0.1 * heard[-1].speed_limit_m_s[0]
     assert heard[-1].stop_extra_m == heard[-1].stop_extra_s == ()
+
+
+# ------------------------------------------------------------------ ranges
+def test_a_range_sensor_that_falls_silent_stops_the_robot_until_it_scans_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench([(2.0, 10.0, 0.0)], world={"ranges": {"max_m": 4.0}})
+    bench.enable("move_to_goal", FAR)
+    bench.run(1.0)
+    assert bench.commanded.any()
+    with monkeypatch.context() as broken:
+        broken.setattr(bench.simulated, "scan", lambda row: None)
+        assert 0.4 < bench.time_to_zero_s() < 0.5 + 2 * TICK_S
+        assert reason(bench) is StopReason.RANGES
+        bench.run(3.0)
+        assert not bench.commanded.any()
+    bench.run(1.0)
+    assert bench.commanded.any()
+
+
+def test_a_robot_whose_range_sensor_never_scans_does_not_set_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fullswarm.simulation.world.World.scan", lambda self, row: None)
+    bench = Bench([(2.0, 10.0, 0.0)], world={"ranges": {"max_m": 4.0}})
+    bench.enable("move_to_goal", FAR)
+    bench.run(2.0)
+    assert not bench.commanded.any()
+    assert reason(bench) is StopReason.RANGES

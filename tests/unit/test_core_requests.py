@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from fullswarm.messages import BehaviourRequest, EStop, ParamReply, ParamRequest, StopRequest
 from tests.unit.core_swarm import KEYS, Robot, Swarm
@@ -140,4 +141,24 @@ def test_a_record_changed_or_taken_away_while_it_runs_leaves_what_runs_alone() -
     swarm.run(0.2)
     assert swarm.status("b").phase == "refused"
     assert swarm.behaviours() == ["", ""]
+    swarm.close()
+
+
+def test_a_request_that_has_ended_and_is_sent_again_starts_nothing_and_is_logged_once_a_second() -> None:
+    swarm = Swarm()
+    swarm.ask("a", "flocking")
+    swarm.run(0.2)
+    swarm.bus.publish(KEYS.stop, StopRequest(id="s"))
+    swarm.run(0.5)
+    with capture_logs() as logs:
+        swarm.ask("a", "flocking")  # a last copy of the operator's own
+        swarm.run(3.0)
+        assert logs == []
+        for _ in range(15):
+            swarm.ask("a", "flocking")
+            swarm.run(0.1)
+    assert [(each["event"], each["id"]) for each in logs] == [
+        ("request ignored: it has ended, and is sent again", "a")
+    ] * 2
+    assert swarm.behaviours() == ["", "", ""]
     swarm.close()

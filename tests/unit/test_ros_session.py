@@ -10,8 +10,8 @@ import pytest
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
 from fullswarm.drivers.ros.protocol import Battery, EStop, Hazards, LaserScan, Odometry, Report
-from fullswarm.drivers.ros.session import LATE_S, SCAN_SILENCE_S, SILENCE_S, Session
-from fullswarm.drivers.ros.settings import parse_url
+from fullswarm.drivers.ros.session import LATE_S, SILENCE_S, Session
+from fullswarm.drivers.ros.settings import SCAN_SILENCE_S, parse_url
 from fullswarm.errors import LinkLost, MessageError
 
 URL = "ros://tcp/127.0.0.1:7447?model=turtlebot3&watchdog=0.5"

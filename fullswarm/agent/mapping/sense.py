@@ -46,6 +46,7 @@ class RangeSense:
     Attributes
     ----------
     any : a robot has a range sensor
+    blind : (n,) it has one, and no newer scan for longer than its description allows
     grid : what they have measured
     obstacles : (k, 6) around the robots, as in ``Reading.obstacles``; the same array until it changes
     bodies : (k, 3) that move, x, y, radius in m, seen by the newest scans
@@ -64,6 +65,9 @@ class RangeSense:
         self.bodies = np.zeros((0, 3))
         self.stamp_s = -math.inf
         self._neighbours, self._radius_m = neighbours, radius_m
+        self.blind: Flags = np.array([each.ranges_max_m > 0.0 for each in descriptions])
+        self._has_one, self._timeout_s = self.blind.copy(), np.array([each.ranges_timeout_s for each in descriptions])
+        self._oldest_s = np.full(len(descriptions), -math.inf)
         self._last: tuple[tuple[int, RangeScan], ...] = ()
         self._stamps: dict[tuple[int, str], float] = {}
         self._cells: dict[tuple[int, str], tuple[float, Index]] = {}
@@ -78,7 +82,13 @@ class RangeSense:
         ----------
         pose, sigma, twist : (n, 3), (n, 2), (n, 2) of the robots now; a scan from an unknown pose is left out
         """
-        if ranges is self._last:
+        news = ranges is not self._last
+        if news:
+            self._oldest_s[[row for row, _ in ranges]] = math.inf
+            for row, scan in ranges:
+                self._oldest_s[row] = min(self._oldest_s[row], scan.stamp_s)
+        np.logical_and(self._has_one, now_s - self._oldest_s > self._timeout_s, out=self.blind)
+        if not news:
             return False
         self._last = ranges
         new = [

@@ -43,11 +43,14 @@ class StopReason(enum.IntEnum):
     OVERLAP = 15
     FRAME = 16
     UNSURE = 17
+    RANGES = 18
 
 
 # The kernels' own numbers: compiled code knows no enum, and plain Python reads a global faster than a member.
 MOVING, ESTOP, DRIVER, READING, HAZARD, IDLE, LAW, HUB, CORE = (int(each) for each in tuple(StopReason)[:9])
-EXPIRED, STALE, BATTERY, CLOCK, POSE, GEOFENCE, OVERLAP, FRAME, UNSURE = (int(each) for each in tuple(StopReason)[9:])
+EXPIRED, STALE, BATTERY, CLOCK, POSE, GEOFENCE, OVERLAP, FRAME, UNSURE, RANGES = (
+    int(each) for each in tuple(StopReason)[9:]
+)
 
 CODES: dict[int, Code] = {
     StopReason.MOVING: Code.NONE,
@@ -68,6 +71,7 @@ CODES: dict[int, Code] = {
     StopReason.OVERLAP: Code.OVERLAP,
     StopReason.FRAME: Code.FRAME,
     StopReason.UNSURE: Code.UNSURE,
+    StopReason.RANGES: Code.RANGES,
 }
 """What the kernels' numbers are called on the wire."""
 
@@ -134,7 +138,8 @@ class Sensed(NamedTuple):
 class Doubt(NamedTuple):
     """What makes motion unsafe by what this computer knows: see ``Reflexes`` and ``PoseConflicts``; (n,) each.
 
-    `floor` and `ceiling` in m/s: the least and the greatest speed that the geofence allows.
+    `blind`: a range sensor is silent. `floor` and `ceiling` in m/s: the least and the greatest speed that the geofence
+    allows.
     """
 
     battery_low: Flags
@@ -143,6 +148,7 @@ class Doubt(NamedTuple):
     pose_uncertain: Flags
     overlap: Flags
     frame_conflict: bool
+    blind: Flags
     floor: Array
     ceiling: Array
 
@@ -284,6 +290,7 @@ def find_reasons(
                 else FRAME if doubt.frame_conflict
                 else OVERLAP if doubt.overlap[i]
                 else UNSURE if doubt.pose_uncertain[i]
+                else RANGES if doubt.blind[i]
                 else MOVING
             )  # fmt: skip
         if why == MOVING and math.fabs(turn) < STILL:

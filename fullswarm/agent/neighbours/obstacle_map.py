@@ -1,8 +1,9 @@
 """Keeps the static obstacles that robots know: from the given map, from their own sensors, from other robots.
 
 An obstacle is a row of six numbers as in ``Reading.obstacles``. It is known once it was seen within the sensing radius
-and is never forgotten: the arena is taken for static. Only what hosts tell that are not of the fleet file is forgotten,
-with them.
+and is never forgotten: the arena is taken for static. What another host has seen counts as long as that host reports
+it: a false report ends with the next one, and is neither taken for an own sighting nor passed on. What hosts report
+that are not of the fleet file is forgotten with them.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ SHARE_PERIOD_S = 2.0
 STRANGERS, MOST_TOLD = 64, 64
 """Hosts that are not of the fleet file, and obstacles of each, at most."""
 MOST = 1000
-"""Obstacles kept at most: a sender on the bus must not fill a robot's memory."""
+"""Obstacles that robots have sensed, that one host reports, and that are known together, at most: a sender on the bus
+must not fill a robot's memory."""
 
 
 @kernel
@@ -75,24 +77,15 @@ class ObstacleMap:
         """Return what these robots have seen themselves, (k, 6)."""
         return self._rows[: len(self._index)][self._seen[:, : len(self._index)].any(axis=0)]
 
-    def add_shared(self, obstacles: Array) -> None:
-        """Take in what others have seen, (k, 6); rows that are no boxes are left out."""
-        before = len(self._index)
-        sound = _sound(obstacles)
-        for row in obstacles[sound]:
-            self._add(row)
-        if len(self._index) != before:
-            self._known.clear()
-
-    def add_told(self, host: str, obstacles: Array) -> None:
-        """Take in what a host that is not of the fleet file has seen, (k, 6), in place of what it told before."""
-        rows, before = obstacles[_sound(obstacles)][:MOST_TOLD], self._told.get(host)
+    def add_told(self, host: str, obstacles: Array, most: int = MOST_TOLD) -> None:
+        """Take in what another host has seen, (k, 6), in place of what it reported before; only rows that are boxes."""
+        rows, before = obstacles[_sound(obstacles)][:most], self._told.get(host)
         if before is None or not np.array_equal(rows, before):
             self._told[host] = rows
             self._known.clear()
 
     def forget_told(self, host: str) -> None:
-        """Forget what such a host has told."""
+        """Forget what a host has reported."""
         if self._told.pop(host, None) is not None:
             self._known.clear()
 
@@ -110,14 +103,23 @@ class ObstacleMap:
         if found is None:
             rows = self._rows[: len(self._index)]
             own = source == OWN
-            found = rows[self._seen[row, : len(rows)]] if own else np.concatenate([rows, *self._told.values()])
+            found = rows[self._seen[row, : len(rows)]] if own else self._union(rows)
             if source in self._measured:
                 found = np.concatenate([found, self._measured[source]])
             self._known[key] = found
         return found
 
+    def _union(self, rows: Array) -> Array:
+        """Return the rows and what others have reported, each obstacle once; of the longest reports not all."""
+        reports = list(self._told.values())
+        if len(rows) + sum(map(len, reports)) > MOST:
+            reports.sort(key=len)  # one host that reports too much takes no room from the others
+        table = np.concatenate([rows, *reports])
+        _, first = np.unique(_rounded(table), axis=0, return_index=True)
+        return table[np.sort(first)[:MOST]]
+
     def _add(self, row: Array) -> None:
-        name = np.round(row, 3).tobytes()
+        name = _rounded(row).tobytes()
         if name in self._index or len(self._index) >= MOST:
             return
         place = self._index[name] = len(self._index)
@@ -125,6 +127,11 @@ class ObstacleMap:
             self._rows = np.vstack([self._rows, np.zeros_like(self._rows)])
             self._seen = np.hstack([self._seen, np.zeros_like(self._seen)])
         self._rows[place] = row
+
+
+def _rounded(rows: Array) -> Array:
+    """Return what is the same for copies of an obstacle that were rounded elsewhere; there is one zero."""
+    return np.asarray(np.round(rows, 3) + 0.0)
 
 
 def _sound(obstacles: Array) -> NDArray[np.bool_]:
@@ -168,10 +175,7 @@ class ObstacleSharing:
         if seen.host == self._host or not self._names.admit(seen.host, self._scheduler.now_s()):
             return
         rows = np.array(seen.rows, float).reshape(-1, 6)
-        if seen.host in self._names.listed:
-            self._map.add_shared(rows)
-        else:
-            self._map.add_told(seen.host, rows)
+        self._map.add_told(seen.host, rows, MOST if seen.host in self._names.listed else MOST_TOLD)
 
     def close(self) -> None:
         """Drop the subscription."""

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Literal
 
+import structlog
+
 from fullswarm.agent.message_delay import MessageDelay
 from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
 from fullswarm.agent.orders.charging import Charging
@@ -35,7 +37,11 @@ from fullswarm.reasons import NONE, Code, Reason, given, reason, voided
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
+log = structlog.get_logger()
+
 REMEMBERED_STOPS = 256
+REPORT_S = 1.0
+"""Between two log lines about releases that do not count."""
 KEEP_S = 0.2
 """Between two writes of stops."""
 SIMULATED = "sim"
@@ -83,6 +89,7 @@ class Inbox:
         self._delays = [MessageDelay() for _ in ids]
         self._stops: Recent[str, None] = Recent(REMEMBERED_STOPS)
         self._folder: LatchFolder | None = None
+        self._reported_s = -math.inf
         self._unkept, self._kept_s = set[int](), -math.inf  # robots whose newest stop is not on disk
         self.charging = Charging(
             bus, keys, scheduler, fleet, state, tasks,
@@ -275,9 +282,12 @@ class Inbox:
         self._keep_halts(rows)
 
     def _on_estop(self, order: EStop) -> None:
+        addressed = self._addressed(order.robots)
+        rows = self.estops.in_force(order, addressed)
+        if len(rows) < len(addressed):
+            self._report_old_release(order)
         if self.estops.repeats(order):
             return
-        rows = self.estops.in_force(order, self._addressed(order.robots))
         for row in rows:
             # Latching ends the behaviour, and so does the release: what was asked for before it, and refused, must
             # not be started by it. Releasing a robot that is not latched stops nothing.
@@ -334,6 +344,13 @@ class Inbox:
         if self._unkept:
             self._keep_halts(())
         self.estops.watch(now_s)
+
+    def _report_old_release(self, order: EStop) -> None:
+        """Log a release that does not count, once per second: it came late, or was recorded and sent again."""
+        now_s = self._scheduler.now_s()
+        if now_s - self._reported_s >= REPORT_S:
+            self._reported_s = now_s
+            log.warning("release ignored: it is older than the e-stop", id=order.id, source=order.source)
 
     def _addressed(self, robots: Iterable[str]) -> list[int]:
         rows = [self._row[robot] for robot in dict.fromkeys(robots) if robot in self._row]

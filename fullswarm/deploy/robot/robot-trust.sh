@@ -3,6 +3,7 @@
 #   trust/root             root metadata: who signs releases and support packages, who signs the next root metadata
 #   trust/newest-release   "<number> <digest> <key>" of the newest statement that was verified; newest-support likewise
 #   trust/log              accepted root metadata and older releases that were asked for, with the time
+#   trust/refused          what was refused and why, with the time
 #
 # The first root metadata come with the first support package; each later version is signed by a threshold of the root
 # keys of the version before. Nothing here runs or unpacks what it has not verified.

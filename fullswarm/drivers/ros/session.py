@@ -21,6 +21,7 @@ from fullswarm.drivers.guardian import SILENCE_S as GUARDIAN_S
 from fullswarm.drivers.linked import LinkSession, Odometer
 from fullswarm.drivers.ros.models import MIDDLE
 from fullswarm.drivers.ros.protocol import Battery, EStop, Hazards, LaserScan, Odometry, Report
+from fullswarm.drivers.ros.settings import SCAN_SILENCE_S
 from fullswarm.errors import LinkLost, MessageError
 from fullswarm.geometry import wrap
 from fullswarm.reasons import Reason, given
@@ -44,8 +45,6 @@ JUMP_SHARE, JUMP_M, JUMP_RAD = 1.5, 0.05, 0.3
 ANEW_M = 1e-6
 """Counting from zero again looks like this."""
 LOW = 0.1
-SCAN_SILENCE_S = 1.0
-"""Without a scan for so long the lidar is lost: an LDS-01 turns five times a second, and Wi-Fi may lose two."""
 SCAN_SIGMA_M = 0.02
 """Standard deviation of a distance: LDS-01 and RPLIDAR A1 at 2 m, by their data sheets."""
 

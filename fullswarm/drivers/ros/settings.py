@@ -68,6 +68,8 @@ OTHER = Model("ROS", "base", math.nan, Limits(math.nan, math.nan, 1.0, 4.0), Non
 """A robot without a record: what is not known must be in the URL."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 LAST_DOMAIN = 232
+SCAN_SILENCE_S = 1.0
+"""Without a scan for so long the lidar is lost: an LDS-01 turns five times a second, and Wi-Fi may lose two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +179,7 @@ def _describe(url: str, options: dict[str, str], model: Model) -> Description:
         senses_bumps=bool(options.get("hazards", model.hazards)),
         watchdog_s=watchdog_s,
         ranges_max_m=_scan_max(url, options, model),
+        ranges_timeout_s=SCAN_SILENCE_S,
     )
 
 

@@ -8,7 +8,7 @@ from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from fullswarm.config import DEFAULT_WORLD, RangesConfig, SightConfig, WorldConfig
 from fullswarm.drivers.actuators import word
-from fullswarm.drivers.base import Description, Limits
+from fullswarm.drivers.base import RANGES_TIMEOUT_S, Description, Limits
 from fullswarm.drivers.ports import parse_address
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.keys import ROBOT_ID
@@ -24,7 +24,8 @@ OPTIONS = (
     "watchdog_s",
 )
 """Options of the URL that are fields of `WorldConfig`; besides, `DELAYS`, ``sensing_m``, and ``ranges_m``: the world
-gives this robot a range sensor that reaches so far; ``pose=no``: it senses odometry alone."""
+gives this robot a range sensor that reaches so far, with ``ranges_hz`` scans a second; ``pose=no``: it senses odometry
+alone."""
 DELAYS = ("overrun_s", "overrun_m", "dead_time_s")
 """Options of the URL that are fields of `Limits`."""
 
@@ -34,6 +35,8 @@ ACTUATORS = (
 )
 """What every simulated robot has; the first word is the state in which the world begins."""
 
+SCANS_MISSED = 3.0
+"""A simulated range sensor is silent when so many scans have not come."""
 WHEEL_BASE_RADII = 0.235 / 0.17
 """Distance between the wheels over the radius of the body, of a Create 2 (its Open Interface specification)."""
 
@@ -62,7 +65,7 @@ def parse_url(url: str) -> SimUrl:
     if parts.scheme != "sim" or not ROBOT_ID.match(robot):
         raise ConfigError("not a simulated robot", where=url, hint="write sim://r1 or sim://127.0.0.1:7450/r1")
     host, port = parse_address(address, where=url)
-    numbers = dict.fromkeys((*OPTIONS, *DELAYS, "sensing_m", "ranges_m"), math.nan)
+    numbers = dict.fromkeys((*OPTIONS, *DELAYS, "sensing_m", "ranges_m", "ranges_hz"), math.nan)
     senses_pose = True
     for key, text in parse_qsl(parts.query, keep_blank_values=True):
         if key == "pose" and text in ("yes", "no"):
@@ -71,12 +74,15 @@ def parse_url(url: str) -> SimUrl:
         if key not in numbers:
             raise ConfigError(f"unknown option '{key}'", where=url, hint=did_you_mean(key, numbers))
         numbers[key] = _positive(text, key, url)
-    sensing_m, ranges_m = numbers.pop("sensing_m"), numbers.pop("ranges_m")
+    sensing_m, ranges_m, ranges_hz = (numbers.pop(key) for key in ("sensing_m", "ranges_m", "ranges_hz"))
     overrun_s, overrun_m, dead_time_s = (max(0.0, numbers.pop(key)) for key in DELAYS)  # NaN: 0
     config = WorldConfig().model_copy(update={key: value for key, value in numbers.items() if value > 0})
     config = config.model_copy(update={"sight": SightConfig(pose=senses_pose)})
     if ranges_m > 0.0:
-        config = config.model_copy(update={"ranges": RangesConfig(max_m=ranges_m)})
+        ranges = RangesConfig(max_m=ranges_m)
+        if ranges_hz > 0.0:
+            ranges = ranges.model_copy(update={"rate_hz": ranges_hz})
+        config = config.model_copy(update={"ranges": ranges})
     sensing_m = sensing_m if sensing_m > 0 else SENSING_M
     description = describe(config, sensing_m)
     limits = replace(description.limits, overrun_s=overrun_s, overrun_m=overrun_m, dead_time_s=dead_time_s)
@@ -112,6 +118,7 @@ def describe(config: WorldConfig, sensing_m: float = SENSING_M) -> Description:
         senses_bumps=True,
         bodies_range_m=sensing_m if config.sight.bodies and config.ranges is None else 0.0,
         ranges_max_m=0.0 if config.ranges is None else config.ranges.max_m,
+        ranges_timeout_s=max(RANGES_TIMEOUT_S, 0.0 if config.ranges is None else SCANS_MISSED / config.ranges.rate_hz),
         watchdog_s=config.watchdog_s,
         actuators=ACTUATORS,
     )
@@ -154,6 +161,8 @@ def url_for(config: WorldConfig, robot: str, sensing_m: float = SENSING_M) -> st
     ranges = config.of_body(robot).ranges
     if ranges is not None:
         options["ranges_m"] = ranges.max_m
+        if ranges.rate_hz != RangesConfig().rate_hz:
+            options["ranges_hz"] = ranges.rate_hz
     if not config.sight.pose:
         options["pose"] = "no"
     place = "" if config.address == DEFAULT_WORLD else f"{config.address}/"

@@ -29,6 +29,7 @@ from tests.unit.deploy_robot.script import Robot
 
 OLD_TOOLS = Path(__file__).parents[2] / "data" / "robot_tools_0_1"
 YEAR_S = 365 * 86_400
+REFUSED = "opt/fullswarm/trust/refused"
 
 
 def package(keys: Keys, name: str = "r1", swarm: str = "lab") -> bytes:
@@ -44,7 +45,12 @@ def swarm_of(robot: Robot) -> str:
 def state(folder: Path) -> list[tuple[str, bytes]]:
     """All that could have been installed."""
     files = [each for part in ("etc", "opt") for each in (folder / part).rglob("*") if each.is_file()]
-    return sorted((str(each), each.read_bytes()) for each in files)
+    return sorted((str(each), each.read_bytes()) for each in files if each != folder / REFUSED)
+
+
+def refused(robot: Robot) -> str:
+    """What the robot itself has noted of attacks."""
+    return (robot.root / REFUSED).read_text()
 
 
 def edited(archive: bytes, change: Callable[[str, bytes], bytes | None]) -> bytes:
@@ -166,6 +172,9 @@ def test_an_ssh_key_alone_installs_no_package(
     before = state(robot.root)
     assert why in robot.no(3, "install", feed=archive)
     assert state(robot.root) == before
+    assert why in refused(robot)
+    robot.ok("install", feed=signed({"r1": package(robot.keys, swarm="hall")}, robot.keys)["r1"])
+    assert 'FULLSWARM_SWARM="hall"' in swarm_of(robot)
 
 
 def test_a_file_that_was_changed_after_signing_is_not_installed(robot: Robot, tmp_path: Path) -> None:
@@ -194,6 +203,7 @@ def test_an_older_release_is_refused_unless_it_is_signed_for_that(robot: Robot) 
     robot.run_release(robot.make("1.0.1"))
     assert "--allow-older" in robot.no(3, "want", old.name, feed=head_archive(old))
     assert old.name not in robot.releases
+    assert "want: it was signed on" in refused(robot)
     number = robot.keys.next_number()
     robot.run_release(stated(old, robot.keys, number=number, older=True))
     assert robot.current == old.name
@@ -215,6 +225,8 @@ def test_a_frozen_release_is_refused_with_what_to_do(robot: Robot) -> None:
     said = robot.no(3, "want", release.name, feed=head_archive(release))
     assert "its signature expired" in said
     assert "`fullswarm bundle`" in said
+    assert "want: its signature expired" in refused(robot)
+    robot.run_release(robot.make("1.0.1"))
 
 
 def test_a_clock_in_the_past_does_not_make_a_frozen_release_good(at_1970: Robot) -> None:
@@ -257,6 +269,9 @@ def test_parts_of_two_releases_never_mix(robot: Robot, mix: Callable[[Path, Path
     robot.no(3, "want", release.name, feed=head_archive(release))
     robot.no(3, "want", other.name, feed=head_archive(release))
     assert not list((robot.root / "opt/fullswarm/releases").iterdir())
+    assert refused(robot).count(" want: ") == 2
+    robot.run_release(other)
+    assert robot.current == other.name
 
 
 def test_a_file_of_another_release_is_not_taken_for_the_own(robot: Robot) -> None:
@@ -380,6 +395,19 @@ def test_one_stolen_key_changes_nothing_that_is_trusted(
     number, document = attack(robot.keys, thief)
     robot.no(3, "trust", feed=roots_archive([document], number))
     assert state(robot.root) == before
+    assert " trust: root metadata 2" in refused(robot)
+    robot.keys.rotate_release_key()
+    assert send_roots(robot, robot.keys) == "2"
+
+
+def test_the_log_of_refusals_has_an_end_and_no_line_of_the_attacker(robot: Robot) -> None:
+    (robot.root / REFUSED).write_text("".join(f"{number} old\n" for number in range(500)))
+    release, other = robot.make("1.0.0"), robot.make("1.0.1")
+    _statement_of_another(release, other)
+    robot.no(3, "want", release.name, feed=head_archive(release))
+    lines = refused(robot).splitlines()
+    assert len(lines) == 200
+    assert "want: the statement is about" in lines[-1]
 
 
 def test_old_root_metadata_and_those_behind_a_gap_are_passed_over(robot: Robot) -> None:
