@@ -45,6 +45,7 @@ Further files:
 ``robotarium/``    Runs scripts of the Robotarium's simulator in a laboratory
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors
+``stderr.py``      Keeps a process alive whose log is on a full disk
 ``store.py``       A layer's local database (paper II.A): key → JSON value with its author, its time and its newest
                    changes
 ``study/``         Human-swarm studies: blinded conditions in a balanced order, measures of the operators

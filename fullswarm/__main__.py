@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 
 from fullswarm.launch import HEALTH
+from fullswarm.stderr import survive_full_disk
 
 
 def plain_logs() -> None:
@@ -44,6 +45,7 @@ def asked_for(arguments: Sequence[str]) -> tuple[str, str] | None:
 
 def run_agent(robot: str, fleet: str) -> int:
     """Run the agent of `robot` as its unit does: what ``fullswarm agent`` is, without the rest of the command line."""
+    survive_full_disk()
     plain_logs()
     from fullswarm.output import run_guarded
 

@@ -27,6 +27,7 @@ from fullswarm.cli.signing import signing_app
 from fullswarm.cli.study import study_app
 from fullswarm.cli.track import track_app
 from fullswarm.errors import ConfigError
+from fullswarm.stderr import survive_full_disk
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
@@ -299,4 +300,5 @@ def main() -> None:
     """Run the command line; the entry point of the ``fullswarm`` script."""
     if completion.SWITCH in os.environ and not os.environ[completion.SWITCH].startswith("source"):
         raise SystemExit(completion.answer(lambda: app(prog_name="fullswarm")))
+    survive_full_disk()
     app(prog_name="fullswarm")
