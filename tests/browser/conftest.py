@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
 
 from tests.browser.console import Console
 from tests.browser.swarm import Demo, Observer
@@ -27,6 +27,8 @@ SIZE: ViewportSize = {"width": 1440, "height": 900}
 ROBOTS = tuple(f"r{number}" for number in range(1, 9))
 OPTIONS = ("--seconds", "3600", "--set", "world.engine=kinematic")
 """The show must not end while it is looked at; kinematic bodies leave the processor to the browser."""
+
+expect.set_options(timeout=15_000)  # ms; the five seconds of Playwright are few where other work shares the machine
 
 Snap = Callable[[Page, str], None]
 

@@ -63,6 +63,8 @@ LOOKED_AT = "new Promise((resolve) => setTimeout(resolve, 200))"
 """The page has looked at the pad meanwhile: what is held when it is plugged in does not count as pressed."""
 MOST_FRAMES_HZ = 32.0
 """The page says 30 at most, and timers of a browser are not exact; the console allows 60."""
+LEAST_FRAMES_HZ = 1.0 / 0.3
+"""An intent lapses after 0.3 s: it takes that many to drive on, also on a busy machine."""
 LEFT_BEHIND_S = 0.3
 """A stick's intent lapses on the robot after so long, whatever has become of the operator's side."""
 SLACK_S = 0.7
@@ -155,9 +157,8 @@ def test_a_stick_that_moves_all_the_time_is_sent_thirty_times_a_second(
 ) -> None:
     pad.button(LB, down=True)
     frames_hz = calm.page.evaluate(STIR, 5.0)
-    assert MOST_FRAMES_HZ / 2 < frames_hz < MOST_FRAMES_HZ
-    observer.fresh()
-    assert drives(observer)
+    assert LEAST_FRAMES_HZ < frames_hz < MOST_FRAMES_HZ
+    observer.until(lambda: drives(observer), 5.0, "it drives")
     expect(calm.named("driving")).to_have_text("driving r6")
 
 
