@@ -34,6 +34,7 @@ KEYS, KINDS, SESSIONS = 16, 1024, 4096
 """Keys of one certificate that are counted apart; all kinds of refusals; sessions whose certificate is known."""
 CHUNK, CARRY = 1 << 18, 1 << 14
 """Bytes that are read at once; bytes that are kept of what was read before: the line in front names the refusal."""
+PIPE_BYTES = 1 << 20
 PARSED = 200
 """Refusals of one chunk that are looked at; those beyond are counted under the last of them."""
 LONGEST_KEY = 128
@@ -102,6 +103,10 @@ class RefusalLog:
             return
         sys.stdout.flush()
         reading, writing = os.pipe()
+        if sys.platform == "linux":
+            import fcntl
+
+            fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, PIPE_BYTES)  # zenoh waits when it is full
         self._stdout = os.dup(1)
         os.dup2(writing, 1)
         os.close(writing)
@@ -120,7 +125,11 @@ class RefusalLog:
 
     def _read(self, reading: int) -> None:
         while chunk := os.read(reading, CHUNK):
-            self.feed(chunk)
+            try:
+                self.feed(chunk)
+            except Exception as error:  # whatever it is: a pipe that nobody reads would block the hub
+                self._text, self._done = b"", 0
+                log.error("a piece of zenoh's log cannot be read", error=f"{type(error).__name__}: {error}")
         os.close(reading)
 
     # ------------------------------------------------------------------ counting

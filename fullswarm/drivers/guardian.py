@@ -253,7 +253,60 @@ def _guardian(way: str, port: int, *arguments: str, clock: Clock, attempts: Atte
     return GuardianProcess(command, (port,), clock, attempts)
 
 
-class GuardedPort(Port[bytes]):
+class ProcessPort(Port[bytes]):
+    """A port that a guardian holds: what is read and written passes through its process."""
+
+    starting = STARTING
+    """What a driver waits for until the process has started."""
+
+    def __init__(self, guardian: GuardianProcess) -> None:
+        self._guardian = guardian
+
+    @property
+    def pid(self) -> int:
+        """The guardian's process."""
+        return self._guardian.pid
+
+    @property
+    def waits_for(self) -> str:
+        """The guardian's start, while that lasts."""
+        return "" if self._guardian.has_started else self.starting
+
+    @property
+    def guardable(self) -> None:
+        """None: it has a guardian."""
+        return
+
+    def fileno(self) -> int:
+        """Return what to wait on."""
+        return self._guardian.socket.fileno()
+
+    def read(self) -> Sequence[bytes]:
+        """Return what the robot sent; raise ``OSError`` when the robot or the guardian is gone."""
+        received: list[bytes] = []
+        for packet in self._guardian.receive():
+            if packet[:1] == process.GONE:
+                raise OSError(errno.EIO, packet[1:].decode(errors="replace"))
+            if packet[:1] == process.BYTES:
+                received.append(packet[1:])
+        return received
+
+    def beat(self) -> None:
+        """Send the guardian a sign of life, and check that it lives; raise ``OSError`` when not."""
+        if self._guardian.overdue():
+            # A pause of this process looks the same; then the guardian's packets are waiting here.
+            self.read()
+            if self._guardian.overdue():
+                raise self._guardian.hangs()
+        if self._guardian.has_started:
+            self._guardian.beat()
+
+    def close(self) -> None:
+        """Let the guardian stop the robot and end. Closing twice is fine."""
+        self._guardian.leave()
+
+
+class GuardedPort(ProcessPort):
     """A serial port held by a guardian.
 
     Parameters
@@ -286,39 +339,10 @@ class GuardedPort(Port[bytes]):
             with suppress(OSError):
                 port.write(park)  # the last guardian may have died while the robot drove, and the next one takes time
             try:
-                self._guardian = _guardian("relay", port.fileno(), park.hex(), clock=clock, attempts=attempts)
+                super().__init__(_guardian("relay", port.fileno(), park.hex(), clock=clock, attempts=attempts))
             except OSError as error:
                 what = f"the process that guards this port does not start: {error.strerror or error}"
                 raise DriverError(what, where=path, hint=NO_ROOM) from error
-
-    @property
-    def pid(self) -> int:
-        """The guardian's process."""
-        return self._guardian.pid
-
-    @property
-    def waits_for(self) -> str:
-        """The guardian's start, while that lasts."""
-        return "" if self._guardian.has_started else STARTING
-
-    @property
-    def guardable(self) -> None:
-        """None: it has a guardian."""
-        return
-
-    def fileno(self) -> int:
-        """Return what to wait on."""
-        return self._guardian.socket.fileno()
-
-    def read(self) -> Sequence[bytes]:
-        """Return what the robot sent; raise ``OSError`` when the port or the guardian is gone."""
-        received: list[bytes] = []
-        for packet in self._guardian.receive():
-            if packet[:1] == process.GONE:
-                raise OSError(errno.EIO, packet[1:].decode(errors="replace"))
-            if packet[:1] == process.BYTES:
-                received.append(packet[1:])
-        return received
 
     def write(self, chunk: bytes) -> bytes | None:
         """Hand over bytes."""
@@ -328,20 +352,6 @@ class GuardedPort(Port[bytes]):
         except BlockingIOError:
             return chunk
         return chunk[len(piece) :] or None
-
-    def beat(self) -> None:
-        """Send the guardian a sign of life, and check that it lives; raise ``OSError`` when not."""
-        if self._guardian.overdue():
-            # A pause of this process looks the same; then the guardian's packets are waiting here.
-            self.read()
-            if self._guardian.overdue():
-                raise self._guardian.hangs()
-        if self._guardian.has_started:
-            self._guardian.beat()
-
-    def close(self) -> None:
-        """Let the guardian stop the robot and end. Closing twice is fine."""
-        self._guardian.leave()
 
 
 class Guardian:

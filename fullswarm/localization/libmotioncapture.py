@@ -20,10 +20,10 @@ import msgspec
 
 from fullswarm.clock import Clock
 from fullswarm.errors import ConfigError, MissingExtra
-from fullswarm.localization.links import PIECE, Connection, HasFileno, Link
+from fullswarm.localization.links import PIECE, Connection, FrameSource, HasFileno
 from fullswarm.localization.sighting import Body, Frame, Refused
-from fullswarm.localization.source import Receiver, Seen
 
+HINT = "is the system live, does it stream, and does it see a body?"
 TYPES = ("vicon", "optitrack", "qualisys", "vrpn")
 WORKER = Path(__file__).with_name("libmotioncapture_worker.py")
 LONGEST = 1 << 20
@@ -78,8 +78,8 @@ def parse_line(line: bytes) -> Frame | Refused:
     return Frame(tuple(Body(name, x, y, z, (qx, qy, qz, qw)) for name, x, y, z, qx, qy, qz, qw in found))
 
 
-class LibMotionCaptureSource:
-    """``vicon://HOST[:801]``, and ``libmotioncapture://HOST?type=TYPE``; further options go to libmotioncapture.
+def open_source(url: str, clock: Clock) -> FrameSource:
+    """Return ``vicon://HOST[:801]``, or ``libmotioncapture://HOST?type=TYPE``; further options go to libmotioncapture.
 
     Raises
     ------
@@ -88,30 +88,12 @@ class LibMotionCaptureSource:
     MissingExtra
         `motioncapture` is not installed.
     """
-
-    hint = "is the system live, does it stream, and does it see a body?"
-
-    def __init__(self, url: str, clock: Clock) -> None:
-        parts = urlsplit(url)
-        options = dict(parse_qsl(parts.query))
-        kind = options.pop("type", "vicon" if parts.scheme == "vicon" else "")
-        if kind not in TYPES:
-            hint = f"write {parts.scheme}://{parts.netloc}?type=TYPE with one of {', '.join(TYPES)}"
-            raise ConfigError(f"'{kind}' is no type of libmotioncapture", where=url, hint=hint)
-        if importlib.util.find_spec("motioncapture") is None:
-            raise MissingExtra("`motioncapture` is not installed", hint="pip install 'fullswarm[mocap]'")
-        self.sensor, self.address = f"mocap {kind}", url
-        self._link = Link(lambda: Worker(kind, parts.netloc, options.items()), url, clock)
-
-    def start(self, receiver: Receiver) -> None:
-        """Deliver to `receiver` from now on."""
-        self._link.start(receiver)
-
-    def read(self, content: bytes) -> Iterable[Seen]:
-        """Parse nothing: the link delivers frames."""
-        del content
-        return ()
-
-    def close(self) -> None:
-        """Stop delivering."""
-        self._link.close()
+    parts = urlsplit(url)
+    options = dict(parse_qsl(parts.query))
+    kind = options.pop("type", "vicon" if parts.scheme == "vicon" else "")
+    if kind not in TYPES:
+        hint = f"write {parts.scheme}://{parts.netloc}?type=TYPE with one of {', '.join(TYPES)}"
+        raise ConfigError(f"'{kind}' is no type of libmotioncapture", where=url, hint=hint)
+    if importlib.util.find_spec("motioncapture") is None:
+        raise MissingExtra("`motioncapture` is not installed", hint="pip install 'fullswarm[mocap]'")
+    return FrameSource(f"mocap {kind}", HINT, url, lambda: Worker(kind, parts.netloc, options.items()), clock)

@@ -17,7 +17,7 @@ from fullswarm.clock import Clock
 from fullswarm.drivers.ports import SerialPort
 from fullswarm.errors import ConfigError, DriverError
 from fullswarm.localization.sighting import Frame, Refused
-from fullswarm.localization.source import Receiver
+from fullswarm.localization.source import Receiver, Seen
 
 CONNECT_S = 2.0
 RETRY_S = 1.0
@@ -101,6 +101,32 @@ class Link:
         self._closing.set()
         if self._thread is not None:
             self._thread.join()
+
+
+class FrameSource:
+    """A source whose connection delivers frames, which need no parser.
+
+    Parameters
+    ----------
+    sensor, hint, address : see :class:`~fullswarm.localization.source.Source`
+    """
+
+    def __init__(self, sensor: str, hint: str, address: str, connect: Callable[[], Connection], clock: Clock) -> None:
+        self.sensor, self.hint, self.address = sensor, hint, address
+        self._link = Link(connect, address, clock)
+
+    def start(self, receiver: Receiver) -> None:
+        """Deliver to `receiver` from now on."""
+        self._link.start(receiver)
+
+    def read(self, content: bytes) -> Iterable[Seen]:
+        """Parse nothing."""
+        del content
+        return ()
+
+    def close(self) -> None:
+        """Stop delivering."""
+        self._link.close()
 
 
 def _reason(error: Exception) -> str:

@@ -17,11 +17,11 @@ from urllib.parse import parse_qs, urlsplit
 
 from fullswarm.clock import Clock
 from fullswarm.errors import ConfigError
-from fullswarm.localization.links import MAX_DATAGRAM, Connection, HasFileno, Link
+from fullswarm.localization.links import MAX_DATAGRAM, Connection, FrameSource, HasFileno
 from fullswarm.localization.sighting import Body, Frame, Refused
-from fullswarm.localization.source import Receiver, Seen
 
 CONNECT, SERVER_INFO, REQUEST_MODELS, MODELS, FRAME, KEEP_ALIVE = 0, 1, 4, 5, 7, 10
+HINT = "is streaming on in Motive (Data Streaming pane), are rigid bodies streamed, is a firewall in between?"
 PORT = 1510
 ASK_S = 1.0
 """Time between two questions that have no answer, and between two signs of life."""
@@ -357,31 +357,18 @@ class NatNetConnection(Connection):
             self._frames.close()
 
 
-class NatNetSource:
-    """``natnet://HOST[:1510][?local=ADDRESS]``; `local` is this machine's address in the cameras' network."""
+def open_source(url: str, clock: Clock) -> FrameSource:
+    """Return ``natnet://HOST[:1510][?local=ADDRESS]``; `local` is this machine's address in the cameras' network.
 
-    sensor = "mocap natnet"
-    hint = "is streaming on in Motive (Data Streaming pane), are rigid bodies streamed, is a firewall in between?"
-
-    def __init__(self, url: str, clock: Clock) -> None:
-        parts = urlsplit(url)
-        options = parse_qs(parts.query, strict_parsing=bool(parts.query))
-        if unknown := sorted(set(options) - {"local"}):
-            raise ConfigError(f"unknown option '{unknown[0]}'", where=url, hint="natnet knows local=ADDRESS")
-        server = (parts.hostname or "", parts.port or PORT)
-        local = options.get("local", [""])[0]
-        self.address = url
-        self._link = Link(lambda: NatNetConnection(server, local, clock), url, clock)
-
-    def start(self, receiver: Receiver) -> None:
-        """Deliver to `receiver` from now on."""
-        self._link.start(receiver)
-
-    def read(self, content: bytes) -> Iterable[Seen]:
-        """Parse nothing: the link delivers frames."""
-        del content
-        return ()
-
-    def close(self) -> None:
-        """Stop delivering."""
-        self._link.close()
+    Raises
+    ------
+    ConfigError
+        An option is unknown.
+    """
+    parts = urlsplit(url)
+    options = parse_qs(parts.query, strict_parsing=bool(parts.query))
+    if unknown := sorted(set(options) - {"local"}):
+        raise ConfigError(f"unknown option '{unknown[0]}'", where=url, hint="natnet knows local=ADDRESS")
+    server = (parts.hostname or "", parts.port or PORT)
+    local = options.get("local", [""])[0]
+    return FrameSource("mocap natnet", HINT, url, lambda: NatNetConnection(server, local, clock), clock)

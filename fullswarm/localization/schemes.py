@@ -34,15 +34,15 @@ class Scheme:
 
 
 def _natnet(settings: Settings, clock: Clock) -> Source:
-    from fullswarm.localization.natnet import NatNetSource
+    from fullswarm.localization import natnet
 
-    return NatNetSource(settings.url, clock)
+    return natnet.open_source(settings.url, clock)
 
 
 def _vrpn(settings: Settings, clock: Clock) -> Source:
-    from fullswarm.localization.vrpn import VrpnSource
+    from fullswarm.localization import vrpn
 
-    return VrpnSource(settings.url, clock)
+    return vrpn.open_source(settings.url, clock)
 
 
 def _qualisys(settings: Settings, clock: Clock) -> Source:
@@ -52,9 +52,9 @@ def _qualisys(settings: Settings, clock: Clock) -> Source:
 
 
 def _libmotioncapture(settings: Settings, clock: Clock) -> Source:
-    from fullswarm.localization.libmotioncapture import LibMotionCaptureSource
+    from fullswarm.localization import libmotioncapture
 
-    return LibMotionCaptureSource(settings.url, clock)
+    return libmotioncapture.open_source(settings.url, clock)
 
 
 def _json(settings: Settings, clock: Clock) -> Source:

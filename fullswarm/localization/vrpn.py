@@ -13,10 +13,10 @@ from collections.abc import Iterable, Sequence
 from urllib.parse import urlsplit
 
 from fullswarm.clock import Clock
-from fullswarm.localization.links import CONNECT_S, PIECE, Connection, HasFileno, Link
+from fullswarm.localization.links import CONNECT_S, PIECE, Connection, FrameSource, HasFileno
 from fullswarm.localization.sighting import Body, Frame, Refused
-from fullswarm.localization.source import Receiver, Seen
 
+HINT = "does the server stream over VRPN, and does it see a body?"
 PORT = 3883
 MAGIC = b"vrpn: ver. 07."
 COOKIE = b"vrpn: ver. 07.35  0".ljust(24, b"\0")
@@ -145,27 +145,8 @@ class VrpnConnection(Connection):
         self._socket.close()
 
 
-class VrpnSource:
-    """``vrpn://HOST[:3883]``."""
-
-    sensor = "mocap vrpn"
-    hint = "does the server stream over VRPN, and does it see a body?"
-
-    def __init__(self, url: str, clock: Clock) -> None:
-        parts = urlsplit(url)
-        host, port = parts.hostname or "", parts.port or PORT
-        self.address = url
-        self._link = Link(lambda: VrpnConnection(host, port), url, clock)
-
-    def start(self, receiver: Receiver) -> None:
-        """Deliver to `receiver` from now on."""
-        self._link.start(receiver)
-
-    def read(self, content: bytes) -> Iterable[Seen]:
-        """Parse nothing: the link delivers frames."""
-        del content
-        return ()
-
-    def close(self) -> None:
-        """Stop delivering."""
-        self._link.close()
+def open_source(url: str, clock: Clock) -> FrameSource:
+    """Return ``vrpn://HOST[:3883]``."""
+    parts = urlsplit(url)
+    host, port = parts.hostname or "", parts.port or PORT
+    return FrameSource("mocap vrpn", HINT, url, lambda: VrpnConnection(host, port), clock)

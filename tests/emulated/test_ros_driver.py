@@ -18,7 +18,7 @@ import pytest
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Hazard, Lifecycle, Twist
-from fullswarm.drivers.guardian import guarded
+from fullswarm.drivers.guardian import ProcessPort, guarded
 from fullswarm.drivers.probe.ask import ask_url
 from fullswarm.drivers.ros.driver import RosDriver
 from fullswarm.emulators.ros.emulator import RosEmulator
@@ -94,6 +94,7 @@ DRIVES = """
 import sys, time
 from fullswarm import registry
 from fullswarm.drivers.base import Lifecycle, Twist
+from fullswarm.drivers.guardian import ProcessPort
 from fullswarm.drivers.guardian import guarded
 driver = guarded(registry.driver_class(sys.argv[1])(sys.argv[1]))
 driver.open()
@@ -126,8 +127,8 @@ def test_a_killed_or_frozen_driver_stops_a_base_that_keeps_its_velocity(transpor
 def test_a_killed_relay_is_a_fault_and_the_next_one_stops_the_base(transport: str) -> None:
     with driving(free_url(transport, HOLDS)) as (robot, driver):
         port = driver._port
-        assert port is not None
-        os.kill(port._process.pid, signal.SIGKILL)  # type: ignore[attr-defined]
+        assert isinstance(port, ProcessPort)
+        os.kill(port.pid, signal.SIGKILL)
         until(lambda: driver.state is Lifecycle.FAULT, each=lambda: driver.command(Twist(0.11, 0.0)))
         until(lambda: driver.state is Lifecycle.READY)
         rests_within(robot, BRAKES_S)

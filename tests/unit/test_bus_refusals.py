@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from structlog.testing import capture_logs
 
@@ -113,3 +115,23 @@ def test_many_refusals_of_one_piece_are_all_counted() -> None:
     read = Read()
     read.feed(refused(R1, "lab/r2/stop") * 1000)
     assert sum(times for *_, times in read.report()) == 1000
+
+
+def test_what_cannot_be_read_is_said_and_the_pipe_is_read_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    read = Read()
+    reading, writing = os.pipe()
+    take, failures = read.log._take, [ValueError("odd")]
+
+    def fail_once(text: bytes, begin: int, end: int) -> None:
+        if failures:
+            os.write(writing, refused(R1, "lab/r2/stop").encode())
+            os.close(writing)
+            raise failures.pop()
+        take(text, begin, end)
+
+    monkeypatch.setattr(read.log, "_take", fail_once)
+    os.write(writing, line("something new").encode())
+    with capture_logs() as logs:
+        read.log._read(reading)
+    assert [each["error"] for each in logs] == ["ValueError: odd"]
+    assert read.report() == [("r1.1", "publish", "lab/r2/stop", 1)]
