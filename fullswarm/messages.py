@@ -78,6 +78,7 @@ Roles = Annotated[dict[ShortText, Names], Meta(max_length=64)]
 TeamName = Annotated[str, Meta(max_length=65)]
 
 Phase = Literal["accepted", "scheduled", "running", "superseded", "refused", "ended"]
+FINAL_PHASES: frozenset[Phase] = frozenset({"refused", "superseded", "ended"})
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind",

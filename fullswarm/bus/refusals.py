@@ -15,6 +15,7 @@ import re
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -35,6 +36,7 @@ KEYS, KINDS, SESSIONS = 16, 1024, 4096
 CHUNK, CARRY = 1 << 18, 1 << 14
 """Bytes that are read at once; bytes that are kept of what was read before: the line in front names the refusal."""
 PIPE_BYTES = 1 << 20
+"""Of zenoh's log that wait to be read: zenoh, and with it the hub, waits when the pipe is full."""
 PARSED = 200
 """Refusals of one chunk that are looked at; those beyond are counted under the last of them."""
 LONGEST_KEY = 128
@@ -106,7 +108,8 @@ class RefusalLog:
         if sys.platform == "linux":
             import fcntl
 
-            fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, PIPE_BYTES)  # zenoh waits when it is full
+            with suppress(OSError):  # the system allows this user less
+                fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         self._stdout = os.dup(1)
         os.dup2(writing, 1)
         os.close(writing)
@@ -127,7 +130,7 @@ class RefusalLog:
         while chunk := os.read(reading, CHUNK):
             try:
                 self.feed(chunk)
-            except Exception as error:  # whatever it is: a pipe that nobody reads would block the hub
+            except Exception as error:  # any: a pipe that is not read blocks the hub
                 self._text, self._done = b"", 0
                 log.error("a piece of zenoh's log cannot be read", error=f"{type(error).__name__}: {error}")
         os.close(reading)

@@ -36,6 +36,7 @@ from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.fitness import ANYTHING, both
 from fullswarm.keys import Keys
 from fullswarm.messages import (
+    FINAL_PHASES,
     STOP,
     BehaviourRequest,
     CentralisedRequest,
@@ -51,7 +52,6 @@ from fullswarm.runtime import Scheduler
 UNNAMED = "an unnamed operator"
 FLOOD = 20
 """Different stops within a second."""
-ENDED: frozenset[Phase] = frozenset({"refused", "superseded", "ended"})
 RESENT_S = 2.0
 """An operator repeats a request until it is answered: its last copy comes no later after the answer."""
 REPORT_S = 1.0
@@ -162,9 +162,9 @@ class MainController:
             self._refuse(request, given(text, error.code, error.parameters))
 
     def _report_replay(self, request: BehaviourRequest) -> None:
-        """Log a request that ended long ago, once per second: somebody has recorded it and sends it again."""
+        """Log a request that ended long ago, once per second: a recorded one is sent again."""
         now_s, status = self._scheduler.now_s(), self._board.get(request.id)
-        ended = status is not None and status.phase in ENDED and now_s - status.stamp_s > RESENT_S
+        ended = status is not None and status.phase in FINAL_PHASES and now_s - status.stamp_s > RESENT_S
         if ended and now_s - self._reported_s >= REPORT_S:
             self._reported_s = now_s
             log.warning("request ignored: it has ended, and is sent again", id=request.id, operator=request.operator)

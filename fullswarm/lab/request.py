@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from fullswarm.messages import RequestStatus, Result, Value
-from fullswarm.operator.client import FINAL_PHASES, PendingRequest
+from fullswarm.messages import FINAL_PHASES, RequestStatus, Result, Value
+from fullswarm.operator.client import PendingRequest
 
 
 class LabRequest:

@@ -10,7 +10,17 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import STOP, BehaviourRequest, EStop, EStopReceipt, Needs, RequestStatus, StopRequest, Value
+from fullswarm.messages import (
+    FINAL_PHASES,
+    STOP,
+    BehaviourRequest,
+    EStop,
+    EStopReceipt,
+    Needs,
+    RequestStatus,
+    StopRequest,
+    Value,
+)
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler, Timer
@@ -27,7 +37,6 @@ STOP_SPACING_S = 0.1
 AFTER_LOSS_SENDS = 20
 """A stop is repeated for two seconds after the hub was lost: the robots may reconnect later than this process."""
 STOP_TIMEOUT_S = 10.0
-FINAL_PHASES = frozenset({"refused", "superseded", "ended"})
 
 StatusHandler = Callable[[RequestStatus], None]
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from fullswarm.errors import FullswarmError, RequestRefused, SafetyStop
-from fullswarm.messages import RequestStatus
-from fullswarm.operator.client import FINAL_PHASES
+from fullswarm.messages import FINAL_PHASES, RequestStatus
 from fullswarm.reasons import Code, holds
 
 

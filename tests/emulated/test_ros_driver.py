@@ -94,7 +94,6 @@ DRIVES = """
 import sys, time
 from fullswarm import registry
 from fullswarm.drivers.base import Lifecycle, Twist
-from fullswarm.drivers.guardian import ProcessPort
 from fullswarm.drivers.guardian import guarded
 driver = guarded(registry.driver_class(sys.argv[1])(sys.argv[1]))
 driver.open()

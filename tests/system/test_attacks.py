@@ -20,7 +20,7 @@ import zenoh
 from fullswarm.bus.codec import LARGEST_BYTES, encode
 from fullswarm.bus.zenoh_bus import ZenohBus, client_config, untyped
 from fullswarm.clock import MonotonicClock, clock_id
-from fullswarm.identity import Credentials
+from fullswarm.identity import Credentials, Role
 from fullswarm.identity.access import ACCESS_KEY, _receives
 from fullswarm.identity.authority import Authority, copy_to, revoke
 from fullswarm.identity.certificates import DAY_S
@@ -60,8 +60,9 @@ class Attacked:
         self.lab.run("keys", "init", str(self.lab.fleet))
         self.keys = KeysFolder.of("lab", folder / "identity")
         authority = Authority.open(self.keys)
-        for name, role in ((THIEF, "robot"), ("gone", "robot"), ("eve", "observer"), ("watch", "observer")):
-            authority.issue(name, role)  # type: ignore[arg-type]  # of Role
+        roles: dict[str, Role] = {THIEF: "robot", "gone": "robot", "eve": "observer", "watch": "observer"}
+        for name, role in roles.items():
+            authority.issue(name, role)
         Authority.open(self.keys, wall_s=lambda: time.time() - 40 * DAY_S).issue("late", "robot")
         self.late = copy_to(self.keys, "late", folder / "late").credentials("late", "robot")  # before it is renewed
         other = Authority.make(KeysFolder.of("lab", folder / "other")).issue("r1", "robot")[0]

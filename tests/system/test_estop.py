@@ -15,13 +15,15 @@ from tests.system.live import LiveSwarm
 pytestmark = pytest.mark.alone
 
 COUNT = 20
+RATE_HZ = 25.0
+"""Half of what agents do unless told otherwise: twenty of those fill two processors."""
 RECEIPT_S = 3.0
 """Generous, the machine may be busy; ``python -m benchmarks.estop`` measures against 0.2 s."""
-HUB_LOST_S = 0.3 + 0.02 + 0.2
+HUB_LOST_S = 0.3 + 1.0 / RATE_HZ + 0.2
 CONFIG = {
     "swarm": "estop",
     "world": {"engine": "kinematic", "walls": False, "bounds_m": [0, 0, 200, 60]},
-    "agent": {"speed_limit_m_s": 0.3},
+    "agent": {"speed_limit_m_s": 0.3, "control_rate_hz": RATE_HZ},
     "performance": {"coverage_cell_m": 1.0},
     "robot": [{"id": f"r{row}", "pose": [2.0, 2.0 + 2.5 * row, 0.0]} for row in range(COUNT)],
 }
@@ -45,8 +47,13 @@ def released(swarm: LiveSwarm) -> Iterator[None]:
 
 
 def drive(swarm: LiveSwarm) -> None:
-    swarm.request("move_to_goal", FAR)  # type: ignore[arg-type]  # values of a test
-    swarm.until(swarm.driven, 20.0, "all robots are driven")
+    """Have all robots drive; repeat the request if a busy machine has kept the world's readings from one of them."""
+    for _ in range(4):
+        swarm.request("move_to_goal", FAR)  # type: ignore[arg-type]  # values of a test
+        with suppress(AssertionError):
+            swarm.until(swarm.driven, 8.0, "all robots are driven")
+            break
+    assert swarm.driven()
     swarm.rest(0.7)
 
 

@@ -1,9 +1,9 @@
 """Keeps the static obstacles that robots know: from the given map, from their own sensors, from other robots.
 
 An obstacle is a row of six numbers as in ``Reading.obstacles``. It is known once it was seen within the sensing radius
-and is never forgotten: the arena is taken for static. What another host has seen counts as long as that host reports
-it: a false report ends with the next one, and is neither taken for an own sighting nor passed on. What hosts report
-that are not of the fleet file is forgotten with them.
+and is never forgotten: the arena is taken for static. What another host has seen counts until that host's next report:
+so a false one does not stay, and it is neither taken for an own sighting nor passed on. What hosts report that are not
+of the fleet file is forgotten with them.
 """
 
 from __future__ import annotations

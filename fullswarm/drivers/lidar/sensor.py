@@ -9,14 +9,12 @@ import threading
 import numpy as np
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.base import RangeScan
+from fullswarm.drivers.base import RANGES_TIMEOUT_S, RangeScan
 from fullswarm.drivers.lidar.settings import Settings
 from fullswarm.drivers.ports import Port, SerialPort, TcpPort
 from fullswarm.errors import DriverError
 from fullswarm.kernels import Array
 
-SILENCE_S = 0.5
-"""Without a turn for so long there is no lidar; the slowest turns five times a second."""
 ANEW_S = 2.0
 """One that says nothing for so long is told once more to scan."""
 RETRY_S, LONGEST_RETRY_S = 0.5, 4.0
@@ -44,9 +42,9 @@ class LidarSensor:
     def trouble(self) -> str:
         """Why nothing is measured now, and what to do; empty: all is well."""
         label, where = self.settings.kind.label, self.settings.where
-        if not self.scans or self._clock.now_s() - self.scans[0].stamp_s > SILENCE_S:
+        if not self.scans or self._clock.now_s() - self.scans[0].stamp_s > RANGES_TIMEOUT_S:
             noise = f", {self._codec.bad} bytes were none of its packets" if self._codec.bad else ""
-            reason = self._port_trouble or f"no turn for {SILENCE_S:g} s{noise}: has it power, and does it turn?"
+            reason = self._port_trouble or f"no turn for {RANGES_TIMEOUT_S:g} s{noise}: has it power, and does it turn?"
             return f"the {label} on {where} measures nothing: {reason}"
         if self._measured < self.settings.least:
             return (
@@ -122,7 +120,7 @@ class LidarSensor:
         far = distances_m > settings.max_m
         measured = np.where(far, np.inf, distances_m)
         self._measured = float(np.mean(~np.isnan(measured)))
-        duration_s = 0.0 if before_s is None else min(now_s - before_s, SILENCE_S)
+        duration_s = 0.0 if before_s is None else min(now_s - before_s, RANGES_TIMEOUT_S)
         self.scans = (
             RangeScan(
                 now_s, -angles_rad if settings.flipped else angles_rad, measured, settings.max_m, settings.at,
