@@ -150,7 +150,7 @@ class LiveSwarm:
         assert asked.status is not None
         return asked.status
 
-    def cli(self, *arguments: str, timeout_s: float = 30.0) -> subprocess.CompletedProcess[str]:
+    def cli(self, *arguments: str, timeout_s: float = START_S) -> subprocess.CompletedProcess[str]:
         """Run the ``fullswarm`` command against this swarm while serving it."""
         process = self.spawn(*arguments)
         self.until(lambda: process.poll() is not None, timeout_s, f"`fullswarm {' '.join(arguments)}` ends")

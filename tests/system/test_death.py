@@ -9,7 +9,7 @@ import pytest
 
 from fullswarm.keys import Keys
 from fullswarm.messages import ControlRequest
-from tests.system.live import LiveSwarm
+from tests.system.live import START_S, LiveSwarm
 
 PERIOD_S = 1 / 50
 TTL_S = 0.3
@@ -57,7 +57,7 @@ def test_the_core(swarm: LiveSwarm) -> None:
     swarm.supervisor.kill("core")
     time_to_zero_s(swarm, CORE_SILENCE_S + PERIOD_S)
     swarm.supervisor.revive("core")
-    swarm.until(swarm.driven, 20.0, "the new core has taken up what the robots report")
+    swarm.until(swarm.driven, START_S, "the new core has taken up what the robots report")
     assert swarm.all_run("move_to_goal")
 
 
@@ -67,7 +67,7 @@ def test_the_core_while_a_centralised_behaviour_runs(swarm: LiveSwarm) -> None:
     # Commands pass through the core: the time-to-live ends them, long before the silent heartbeat does.
     time_to_zero_s(swarm, TTL_S + PERIOD_S)
     swarm.supervisor.revive("core")
-    swarm.until(swarm.driven, 20.0, "commands flow again")
+    swarm.until(swarm.driven, START_S, "commands flow again")
 
 
 def test_the_process_of_a_centralised_behaviour(swarm: LiveSwarm) -> None:
@@ -75,7 +75,7 @@ def test_the_process_of_a_centralised_behaviour(swarm: LiveSwarm) -> None:
     swarm.supervisor.kill("centralised")
     time_to_zero_s(swarm, TTL_S + PERIOD_S)
     swarm.supervisor.revive("centralised")
-    swarm.until(swarm.driven, 20.0, "the core has told the new process what to do")
+    swarm.until(swarm.driven, START_S, "the core has told the new process what to do")
 
 
 def test_the_hub(swarm: LiveSwarm) -> None:
@@ -83,7 +83,7 @@ def test_the_hub(swarm: LiveSwarm) -> None:
     swarm.supervisor.kill("hub")
     time_to_zero_s(swarm, TTL_S + PERIOD_S)
     swarm.supervisor.revive("hub")
-    swarm.until(swarm.driven, 20.0, "the robots go on by themselves")
+    swarm.until(swarm.driven, START_S, "the robots go on by themselves")
 
 
 def test_a_request_made_while_the_hub_is_dead_happens_once(swarm: LiveSwarm) -> None:
@@ -100,7 +100,7 @@ def test_a_request_made_while_the_hub_is_dead_happens_once(swarm: LiveSwarm) -> 
     swarm.rest(1.0)
     assert asked.status is None, "nobody can have heard it yet"
     swarm.supervisor.revive("hub")
-    swarm.until(lambda: asked.status is not None and asked.status.phase == "running", 20.0, "it is confirmed")
+    swarm.until(lambda: asked.status is not None and asked.status.phase == "running", START_S, "it is confirmed")
     swarm.rest(1.0)
     watching.close()
     assert swarm.all_run("rendezvous")
@@ -147,7 +147,7 @@ def test_an_agent(swarm: LiveSwarm) -> None:
     swarm.until(lambda: swarm.row("r1").age_s > 1.0, 5.0, "nothing comes from the dead agent")
     revived_s = swarm.clock.now_s()
     swarm.supervisor.revive("r1")
-    swarm.until(lambda: swarm.all_run("move_to_goal"), 20.0, "the new agent runs what was asked")
+    swarm.until(lambda: swarm.all_run("move_to_goal"), START_S, "the new agent runs what was asked")
     swarm.until(lambda: swarm.driven_since("r1", revived_s), 10.0, "and drives")
 
 

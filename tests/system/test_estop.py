@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fullswarm.operator.estop import EStopOrder
-from tests.system.live import LiveSwarm
+from tests.system.live import START_S, LiveSwarm
 
 pytestmark = pytest.mark.alone
 
@@ -135,7 +135,7 @@ def test_without_a_core(swarm: LiveSwarm) -> None:
     assert pressed.returncode == 0, pressed.stderr
     assert pressed.stdout.count("at standstill after 0.000 m") == COUNT
     swarm.supervisor.revive("core")
-    swarm.until(swarm.ready, 30.0, "the core is back")
+    swarm.until(swarm.ready, START_S, "the core is back")
     swarm.rest(2.0)
     assert latched(swarm)
     assert swarm.stands()
@@ -149,7 +149,7 @@ def test_a_robot_that_is_not_there_is_named_and_latched_when_it_comes(swarm: Liv
     assert pressed.returncode == 4
     assert "r3 (go there: they may still move)" in pressed.stderr
     swarm.supervisor.revive("r3")
-    swarm.until(lambda: latched(swarm), 30.0, "the core has told it")
+    swarm.until(lambda: latched(swarm), START_S, "the core has told it")
     clear(swarm)
 
 
@@ -161,9 +161,9 @@ def test_core_and_agents_that_start_anew_at_once(swarm: LiveSwarm) -> None:
     swarm.rest(1.5)
     for name in ("r5", "r6"):
         swarm.supervisor.revive(name)
-    swarm.until(lambda: latched(swarm, "r5", "r6"), 30.0, "they know by themselves")
+    swarm.until(lambda: latched(swarm, "r5", "r6"), START_S, "they know by themselves")
     swarm.supervisor.revive("core")
-    swarm.until(swarm.ready, 30.0, "the core is back")
+    swarm.until(swarm.ready, START_S, "the core is back")
     swarm.rest(2.0)  # by then the core, too, has heard them all
     refused = swarm.cli("request", "move_to_goal", "--set", "goal=190,26", "--wait", "--timeout", "15")
     assert refused.returncode == 4, refused.stderr
@@ -181,7 +181,7 @@ def test_a_dead_hub_stops_all_and_the_operator_is_told(swarm: LiveSwarm) -> None
     assert pressing.poll() is None
     assert swarm.stands()
     swarm.supervisor.revive("hub")
-    swarm.until(lambda: pressing.poll() is not None, 30.0, "it gets through when the hub is back")
+    swarm.until(lambda: pressing.poll() is not None, START_S, "it gets through when the hub is back")
     out, err = pressing.communicate()
     assert pressing.returncode == 0, err
     assert "robots without a hub stop by themselves, but they are not latched; still trying" in err

@@ -10,7 +10,7 @@ import pytest
 from fullswarm.keys import Keys
 from fullswarm.messages import Leases
 from fullswarm.operator.leases import LeaseHolder
-from tests.system.live import LiveSwarm
+from tests.system.live import START_S, LiveSwarm
 
 CONFIG = {
     "world": {"engine": "kinematic", "bounds_m": [0, 0, 10, 10]},
@@ -47,7 +47,7 @@ def test_a_lease_is_back_soon_after_the_core_was_killed(swarm: LiveSwarm) -> Non
         before = cores[-1]
         swarm.supervisor.kill("core")
         swarm.supervisor.revive("core")
-        swarm.until(lambda: cores[-1] != before, 60.0, "another core speaks")
+        swarm.until(lambda: cores[-1] != before, START_S, "another core speaks")
         swarm.until(lambda: granted[-1:] == ["anna"], 2.0, "which grants anna her robot again")
         refused = swarm.cli("request", "flocking_bc", "--robots", "r1", "--operator", "bob")
         assert refused.returncode == 2, refused.stderr

@@ -20,7 +20,7 @@ import pytest
 from fullswarm import AsyncSwarm, Swarm
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, TimedOut, Unreachable
 from fullswarm.messages import MissionStatus
-from tests.system.live import LiveSwarm
+from tests.system.live import START_S, LiveSwarm
 
 ROBOTS = ("r1", "r2", "r3")
 
@@ -166,7 +166,7 @@ def test_it_goes_on_when_the_core_is_started_again(swarm: Swarm, live: LiveSwarm
         run.wait_started()
         live.supervisor.kill("core")
         live.supervisor.revive("core")
-        until(lambda: any(node.node == "core" and node.age_s < 0.3 for node in swarm.state.nodes), 30.0)
+        until(lambda: any(node.node == "core" and node.age_s < 0.3 for node in swarm.state.nodes), START_S)
         until(lambda: {each.robot for each in swarm.state.leases} == {"r3"}, 10.0)
         until(lambda: behaviours(swarm) == ["flocking_bc"] * 3, 10.0)
         swarm.stop()

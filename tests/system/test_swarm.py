@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from fullswarm.messages import Value
-from tests.system.live import LiveSwarm
+from tests.system.live import START_S, LiveSwarm
 
 CONFIG = {
     "world": {"engine": "pybullet", "bounds_m": [0, 0, 10, 10], "boxes": [[5.0, 2.0, 1.0, 1.0, 0.3]]},
@@ -43,7 +43,7 @@ def test_ten_behaviours_and_a_robot_that_dies(swarm: LiveSwarm) -> None:
         elif number == 2:
             swarm.supervisor.revive("r3")
             missing = ()
-            swarm.until(lambda: swarm.all_run("rendezvous_bc"), 30.0, "r3 is back and runs what it missed")
+            swarm.until(lambda: swarm.all_run("rendezvous_bc"), START_S, "r3 is back and runs what it missed")
     swarm.until(lambda: swarm.all_run("voronoi_coverage_bc"), 20.0, "all run what was asked last")
 
 
