@@ -12,6 +12,7 @@ which all arrive counts, else the one in which most arrive; so the reference is 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import math
 import statistics
@@ -321,6 +322,8 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="fail when a bar does not hold")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    if importlib.util.find_spec("pyrvo") is None:
+        parser.error("ORCA is not installed: pip install -e '.[bench]'")
     kernels.compile_all()
     robots = [int(each) for each in options.robots.split(",") if each]
     groups: dict[tuple[str, str, int], list[Case]] = {}

@@ -87,11 +87,9 @@ class Fleet:
         )
 
     def listing(self) -> dict[str, str]:
-        """Return what lies in each robot's folder of releases."""
-        return {
-            robot: computer.do("find", "/opt/fullswarm", "-maxdepth", "2", "-printf", "%P %i\n")
-            for robot, computer in self.lab.computers.items()
-        }
+        """Return what lies in each robot's folder of releases, without the record of what it has refused."""
+        find = ("find", "/opt/fullswarm", "-maxdepth", "2", "!", "-path", "*/trust/refused", "-printf", "%P %i\n")
+        return {robot: computer.do(*find) for robot, computer in self.lab.computers.items()}
 
     def moved_bytes(self) -> int:
         """Return what SSH has moved so far, both ways and to and from all robots; the swarm's own talk is not in it."""

@@ -105,13 +105,16 @@ def test_a_stale_signature_is_refused_before_anything_is_written(fleet: Fleet, t
 
 
 def _refused_on_board(fleet: Fleet, release: Path) -> None:
-    """A base that lies about the signature gets no further: the robot looks itself."""
+    """A base that lies about the signature gets no further: the robot looks itself, and keeps a record of it."""
     robot, head = fleet.lab.computers[fleet.lab.robots[-1]], fleet.lab.folder / "head.tar"
     head.write_bytes(head_archive(release))
     want = f'/opt/fullswarm/bin/fullswarm-robot want {release.name} 2>&1 || echo "exit $?"'
     answer = robot.do("sh", "-c", want, feed=head)
     assert "exit 3" in answer
     assert "signature" in answer or "signed" in answer  # also: signed before the newest that it has verified
+    kept = robot.do("tail", "-n", "1", "/opt/fullswarm/trust/refused")
+    assert " want: " in kept
+    assert kept.split(" want: ")[1].strip() in answer
 
 
 def test_a_robot_that_is_cut_off_in_mid_update_goes_back_by_itself(fleet: Fleet) -> None:
