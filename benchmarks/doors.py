@@ -27,6 +27,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
+from fullswarm.output import quiet
 
 ROBOTS = 8
 RADIUS_M, READY_S, LIMIT_S = 0.17, 0.49, 180.0
@@ -185,6 +186,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--check", action="store_true")
     wanted = parser.parse_args()
+    quiet()  # stdout is for the table
     widths = [float(each) for each in wanted.widths.split(",") if each]
     runs: list[Run] = []
     for each in cases(wanted.cases.split(","), wanted.positions, widths):

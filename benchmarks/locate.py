@@ -28,6 +28,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import Value
 from fullswarm.operator.client import Operator
+from fullswarm.output import quiet
 
 RANGES = {"count": 360, "max_m": 12.0, "sigma_m": 0.01, "dropout": 0.01, "rate_hz": 10.0}
 WHEELS = 0.02
@@ -127,6 +128,7 @@ def main() -> int:
     parser.add_argument("--after", type=float, default=40.0, metavar="SECONDS")
     parser.add_argument("--check", action="store_true", help="exit 1 unless the bars hold")
     given = parser.parse_args()
+    quiet()  # stdout is for the table
     good = True
     for world in given.worlds.split(","):
         for seed in range(given.seeds):

@@ -23,6 +23,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
+from fullswarm.output import quiet
 from fullswarm.simulation.engine import make_engine
 
 TARGETS = {("pybullet", 32): 60, ("pybullet", 100): 15, ("pybullet", 1000): 1,
@@ -128,6 +129,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    quiet()  # stdout is for the table
     figures = []
     for engine in options.engines.split(","):
         for robots in map(int, options.robots.split(",")):

@@ -20,6 +20,7 @@ from typing import Any
 from fullswarm.config import SwarmConfig
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.operator.client import Operator
+from fullswarm.output import quiet
 
 PACKAGE = Path(__file__).parents[1] / "fullswarm"
 SETTLE_S = 1.013
@@ -99,6 +100,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--files", action="store_true", help="list the files as well")
     wanted = parser.parse_args()
+    quiet()  # stdout is for the table
     found = walks()
     if wanted.json:
         print(json.dumps({name: walk.row() for name, walk in found.items()}, indent=2))
