@@ -34,7 +34,6 @@ from numpy.typing import NDArray
 from fullswarm.config import SwarmConfig
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import BehaviourRequest
-from fullswarm.output import quiet
 
 Array = NDArray[np.float64]
 
@@ -182,7 +181,6 @@ def main() -> int:
     parser.add_argument("--log", action="store_true", help="print what the core decides")
     parser.add_argument("--save", type=Path, default=None)
     given = parser.parse_args()
-    quiet()  # stdout is for the table
     level = logging.INFO if given.log else logging.ERROR
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(level))
     missed = False

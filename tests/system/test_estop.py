@@ -9,6 +9,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
+from fullswarm.messages import Value
 from fullswarm.operator.estop import EStopOrder
 from tests.system.live import START_S, LiveSwarm
 
@@ -27,7 +28,7 @@ CONFIG = {
     "performance": {"coverage_cell_m": 1.0},
     "robot": [{"id": f"r{row}", "pose": [2.0, 2.0 + 2.5 * row, 0.0]} for row in range(COUNT)],
 }
-FAR = {"goal": [190.0, 26.0]}
+FAR: dict[str, Value] = {"goal": [190.0, 26.0]}
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,7 @@ def released(swarm: LiveSwarm) -> Iterator[None]:
 def drive(swarm: LiveSwarm) -> None:
     """Have all robots drive; repeat the request if a busy machine has kept the world's readings from one of them."""
     for _ in range(4):
-        swarm.request("move_to_goal", FAR)  # type: ignore[arg-type]  # values of a test
+        swarm.request("move_to_goal", FAR)
         with suppress(AssertionError):
             swarm.until(swarm.driven, 8.0, "all robots are driven")
             break
