@@ -11,7 +11,7 @@ import contextlib
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import structlog
@@ -66,6 +66,9 @@ class Store:
         self.path = path
         self._wall_s = wall_s
         self._watchers: list[Callable[[ParamEntry], None]] = []
+        # What `keep` and `forget` could not write yet: the newest value of each key and its author; no author: forget.
+        self._unsaved: dict[str, tuple[Stored, str | None]] = {}
+        self._failing = False
         self._open = True
         try:
             if path is not None:
@@ -143,6 +146,8 @@ class Store:
             self._db.execute("COMMIT")
         except sqlite3.Error as error:
             raise self._explain(error) from error
+        for key in values:
+            self._unsaved.pop(key, None)  # this is newer
         entries = tuple(_entry(row) for row in rows)
         for entry in entries:
             for watcher in tuple(self._watchers):
@@ -150,30 +155,76 @@ class Store:
         return entries
 
     def keep(self, values: Mapping[str, Stored], author: str) -> None:
-        """Write `values` for the next start; log a failure, because a full or locked disk must not end the process.
+        """Write `values` for the next start; None takes a key away, where there is one.
 
-        None takes a key away, where there is one.
+        A full or locked disk must not end the process: what cannot be written is logged, and written by a later
+        :meth:`save`, or with the next values.
         """
-        try:
-            wanted = {key: value for key, value in values.items() if value is not None or self.get(key) is not None}
-            if wanted:
-                self.set_many(wanted, author)
-        except ConfigError as error:
-            log.error("not saved: the next start will not restore it", error=str(error), keys=sorted(values)[:5])
+        for key, value in values.items():
+            try:
+                _encode(key, value)
+            except ConfigError as error:
+                log.error("not saved: the next start will not restore it", error=str(error), keys=[key])
+            else:
+                self._unsaved[key] = value, author
+        self.save()
 
     def forget(self, *keys: str) -> None:
-        """Take keys away with all their changes, as if they had never been set; a failure is logged, as in `keep`."""
+        """Take keys away with all their changes, as if they had never been set; later if the disk fails, as `keep`."""
+        self._unsaved.update(dict.fromkeys(keys, (None, None)))
+        self.save()
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether something has not been written, because the disk fails."""
+        return bool(self._unsaved)
+
+    def save(self, *, wait: bool = True) -> None:
+        """Write what :meth:`keep` and :meth:`forget` could not.
+
+        Parameters
+        ----------
+        wait : up to `BUSY_S` for another process that holds the database
+        """
+        if not self._unsaved:
+            return
+        late = self._failing
         try:
-            self._db.execute("BEGIN IMMEDIATE")
+            if not wait:
+                self._db.execute("PRAGMA busy_timeout = 0")
             try:
-                for table in ("entry", "history"):
-                    self._db.executemany(f"DELETE FROM {table} WHERE key = ?", [(key,) for key in keys])  # noqa: S608
-            except sqlite3.Error:
-                self._db.execute("ROLLBACK")
-                raise
-            self._db.execute("COMMIT")
-        except sqlite3.Error as error:
-            log.error("not taken out of the database", error=str(self._explain(error)), keys=sorted(keys)[:5])
+                for author in dict.fromkeys(author for _, author in self._unsaved.values()):
+                    self._write({key: value for key, (value, by) in self._unsaved.items() if by == author}, author)
+            finally:
+                if not wait:
+                    self._db.execute(f"PRAGMA busy_timeout = {round(1000.0 * BUSY_S)}")
+        except (ConfigError, sqlite3.Error) as error:
+            self._failing = True
+            if not late:
+                text = "not saved: a restart would not restore it; tried again until it is"
+                log.error(text, error=str(error), keys=sorted(self._unsaved)[:5])
+            return
+        self._failing = False
+        if late:
+            log.warning("saved what the database could not take before")
+
+    def _write(self, values: Mapping[str, Stored], author: str | None) -> None:
+        if author is None:
+            self._delete(values)
+        elif wanted := {key: each for key, each in values.items() if each is not None or self.get(key) is not None}:
+            self.set_many(wanted, author)
+        for key in values:
+            self._unsaved.pop(key, None)
+
+    def _delete(self, keys: Iterable[str]) -> None:
+        self._db.execute("BEGIN IMMEDIATE")
+        try:
+            for table in ("entry", "history"):
+                self._db.executemany(f"DELETE FROM {table} WHERE key = ?", [(key,) for key in keys])  # noqa: S608
+        except sqlite3.Error:
+            self._db.execute("ROLLBACK")
+            raise
+        self._db.execute("COMMIT")
 
     def seed(self, entries: Mapping[str, Stored], author: str = SEED) -> tuple[str, ...]:
         """Write the values of the TOML files, where nothing else was written since; return the keys that changed."""
@@ -199,6 +250,7 @@ class Store:
     def close(self) -> None:
         """Fold the log into the file and let go of it. Closing twice is fine."""
         if self._open:
+            self.save()
             self._open = False
             self._watchers.clear()
             self._db.close()

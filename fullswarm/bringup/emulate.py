@@ -1,4 +1,4 @@
-"""Runs `fullswarm emulate`: one emulated robot on a real port, with faults that are typed while it runs.
+"""Runs `fullswarm emulate`: one emulated robot or lidar on a real port, with faults that are typed while it runs.
 
 A fault is a line such as ``cliff on``, ``battery 0.1`` or ``unplug``. Every make's emulator has the same names for
 them; what a make does not support is refused.
@@ -15,10 +15,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from fullswarm import output
 from fullswarm.clock import MonotonicClock
+from fullswarm.drivers.lidar.settings import KINDS as LIDARS
 from fullswarm.drivers.make import Bench, Emulation, Emulator, emulation_part, make_of, named
 from fullswarm.emulators.base import LinkFaults
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
@@ -64,20 +65,25 @@ def run(
         for each in orders:
             inject(emulator, each)
         _announce(options, emulator.url, as_json=as_json)
-        printer, typed = _Printer(emulator, body), TypedLines()
-        runtime.every(LOOK_S, lambda: printer.print_change(runtime.now_s()), first_s=0.0)
+        typed = TypedLines()
+        if options.make not in LIDARS:
+            printer = _Printer(emulator, body)
+            runtime.every(LOOK_S, lambda: printer.print_change(runtime.now_s()), first_s=0.0)
         runtime.every(LISTEN_S, lambda: _listen(typed, emulator, runtime))
         runtime.run(seconds)
     return output.INTERRUPTED if runtime.exit_signal == signal.SIGINT else 0
 
 
 def _refuse_misfits(options: EmulateOptions) -> None:
-    emulation = _emulation(options.make)
-    useless = {
-        "listen": not emulation.listens,
-        "model": len(emulation.models) < 2,
-        "port": emulation.models[0].place != "path" and not emulation.listens,
-    }
+    if options.make in LIDARS:
+        useless = {"listen": True, "model": True, "url": True}
+    else:
+        emulation = _emulation(options.make)
+        useless = {
+            "listen": not emulation.listens,
+            "model": len(emulation.models) < 2,
+            "port": emulation.models[0].place != "path" and not emulation.listens,
+        }
     for name, nothing in useless.items():
         if nothing and getattr(options, name) is not None:
             raise ConfigError(f"means nothing to an emulated {options.make}", where=f"--{name}")
@@ -86,7 +92,7 @@ def _refuse_misfits(options: EmulateOptions) -> None:
 
 
 def _emulation(name: str) -> Emulation:
-    emulation = named(name).emulation
+    emulation = named(name, also=LIDARS).emulation
     assert emulation is not None, name  # noqa: S101  (`named` returns no other)
     return emulation
 
@@ -104,6 +110,21 @@ def _port_path(options: EmulateOptions) -> Iterator[str]:
 
 @contextmanager
 def _started(options: EmulateOptions, path: str, body: Body) -> Iterator[Emulator]:
+    emulator = _lidar(options.make, path, body) if options.make in LIDARS else _robot(options, path, body)
+    try:
+        yield emulator
+    finally:
+        emulator.close()
+
+
+def _lidar(kind: str, path: str, body: Body) -> Emulator:
+    from fullswarm.emulators.lidar.emulator import RoomLidar
+
+    emulator: Emulator = RoomLidar(kind, path, body).start()
+    return emulator
+
+
+def _robot(options: EmulateOptions, path: str, body: Body) -> Emulator:
     make, emulation = named(options.make), _emulation(options.make)
     emulator: Emulator
     if emulation.bench:
@@ -115,10 +136,7 @@ def _started(options: EmulateOptions, path: str, body: Body) -> Iterator[Emulato
         if name not in models:
             raise ConfigError(f"no model '{name}'", where="--model", hint=did_you_mean(name, models))
         emulator = emulation_part(make, emulation.start)(options.url or models[name].driver_url(quote(path)), body)
-    try:
-        yield emulator
-    finally:
-        emulator.close()
+    return emulator
 
 
 # ---------------------------------------------------------------- what a client opens
@@ -135,7 +153,9 @@ def _announce(options: EmulateOptions, url: str, *, as_json: bool) -> None:
 
 
 def openings(url: str) -> dict[str, str]:
-    """Return what other clients open for the robot that our driver opens as `url`."""
+    """Return what other clients open for the robot or lidar that our driver opens as `url`."""
+    if urlsplit(url).scheme in LIDARS:
+        return {"fleet file": f'ranges = "{url}"'}
     make = make_of(url)
     clients = make.emulation.clients if make.emulation else ""
     found: dict[str, str] = emulation_part(make, clients)(url) if clients else {}
@@ -320,6 +340,7 @@ FAULTS: dict[str, Fault] = {
                           "set_virtual_wall"),
     "bump": Fault("on|off|left|right", "press the bumper", _bump),
     "push": Fault("METRES [RADIANS]", "move it by hand", _push),
+    "block": Fault("on|off", "hold the lidar's motor", lambda it, text: it.block(switch(text)), "block"),
     "drop": Fault("0..1", "share of chunks lost", _set_fault("drop", 1.0), "faults"),
     "corrupt": Fault("0..1", "share of chunks with a flipped bit", _set_fault("corrupt", 1.0), "faults"),
     "delay": Fault("SECONDS", "of each direction", _set_fault("delay_s", 10.0), "faults"),
@@ -338,7 +359,7 @@ def inject(emulator: object, line: str) -> None:
     order = FAULTS.get(name)
     if order is None:
         raise ConfigError(f"no command '{name}'", hint=did_you_mean(name, [*FAULTS, "help", "quit"]))
-    if order.needs and not hasattr(emulator, order.needs):
+    if name not in supported_faults(emulator):
         raise ConfigError(
             f"'{name}' is not supported by this make", hint=f"supported: {', '.join(supported_faults(emulator))}"
         )
@@ -349,7 +370,10 @@ def inject(emulator: object, line: str) -> None:
 
 def supported_faults(emulator: object) -> list[str]:
     """Return the commands that an emulator supports."""
-    return [name for name, order in FAULTS.items() if not order.needs or hasattr(emulator, order.needs)]
+    return [
+        name for name, order in FAULTS.items()
+        if (not order.needs or hasattr(emulator, order.needs)) and name not in getattr(emulator, "lacks", ())
+    ]  # fmt: skip
 
 
 def explain_faults(emulator: object) -> str:

@@ -58,10 +58,12 @@ def fleet_robots(context: typer.Context, incomplete: str) -> Offer:
 
 
 def emulated_makes(incomplete: str) -> Offer:
-    """Offer the makes that can be emulated."""
+    """Offer the makes and lidars that can be emulated."""
+    from fullswarm.drivers.lidar.settings import KINDS
     from fullswarm.drivers.make import makes
 
-    return _listed([(each.name, each.robots) for each in makes() if each.emulation], incomplete)
+    offer = [(each.name, each.robots) for each in makes() if each.emulation]
+    return _listed([*offer, *((scheme, kind.label) for scheme, kind in KINDS.items())], incomplete)
 
 
 def behaviours(context: typer.Context, incomplete: str) -> Offer:

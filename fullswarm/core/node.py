@@ -29,6 +29,8 @@ from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
 
 NODE = "core"
+SAVE_S = 0.5
+"""While the disk fails, what it has not taken is tried again this often."""
 
 
 class Closing(Protocol):
@@ -104,7 +106,10 @@ class CoreNode:
             self.charging, self.missions, controller, authority, self.handler, board, self.remapper, latches,
             self.relay, roster, params, ClockServer(bus, keys, scheduler, process, wall_s), *reversed(self.extra),
         )  # fmt: skip
-        self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
+        self._timers = [
+            scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0),
+            scheduler.every(SAVE_S, lambda: store.save(wait=False)),
+        ]
 
     def _beat(self) -> None:
         self._sequence += 1
@@ -119,6 +124,7 @@ class CoreNode:
 
     def close(self) -> None:
         """Close all parts; the robots stop by themselves when the heartbeat is silent."""
-        self._timer.cancel()
+        for timer in self._timers:
+            timer.cancel()
         for part in self._parts:
             part.close()

@@ -16,12 +16,22 @@ from collections.abc import Callable, Iterable, Mapping
 import msgspec
 
 from fullswarm.bus import Bus
-from fullswarm.core.desired import Desired, Order
+from fullswarm.core.desired import IDLE, Desired, Order
 from fullswarm.core.request_order import RequestOrder
 from fullswarm.core.request_status import Progress, StatusBoard
 from fullswarm.core.roster import Member, Roster
 from fullswarm.keys import Keys
-from fullswarm.messages import STOP, CentralisedCommands, Command, ControlAck, Halt, ParamEntry, RequestStatus, Result
+from fullswarm.messages import (
+    STOP,
+    CentralisedCommands,
+    Command,
+    ControlAck,
+    Halt,
+    ParamEntry,
+    RequestStatus,
+    Result,
+    RobotHealth,
+)
 from fullswarm.reasons import NONE, NOTHING, RESULTS, Code, Reason, given, reason
 from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
@@ -71,6 +81,7 @@ class RequestHandler:
         self._requests: dict[str, Progress] = {}
         self._dirty: dict[str, None] = {}
         self._kept: set[str] = set()  # robots with an entry in the database
+        self._restored: set[str] = set()  # requests that the database remembered at the start
         # Above the numbers of any core before it on this machine, so that their late commands are known to be old.
         self._counter = itertools.count(int(scheduler.now_s() * 1e6) + 1)
         self._closed = self._held_back = False
@@ -276,6 +287,8 @@ class RequestHandler:
         state = self._state(member.robot)
         before = state.present, state.settled, state.order
         state.present = True
+        if self._runs_unsaved(state, health):
+            self._adopt(state, health.request_id, health.behaviour)
         given_up = state.compare(health, restarted, self._scheduler.now_s())
         if given_up.code in RESULTS and health.result is not None:
             self._finish(state, health.result)
@@ -308,11 +321,25 @@ class RequestHandler:
         self._kept.discard(robot)
         self._store.forget(WANTED + robot)
 
+    def _runs_unsaved(self, state: Desired, health: RobotHealth) -> bool:
+        """Tell whether a robot runs what a core before this one could not save: it is newer than the restored order.
+
+        A robot that was to stand is stopped all the same.
+        """
+        order = state.order
+        if order is None or order.enables_nothing or order.adopted or health.behaviour in IDLE:
+            return False
+        if state.ordered_s > -math.inf or state.acked_sequence:  # this core has asked it for something
+            return False
+        return health.request_id not in self._restored
+
     def _adopt(self, state: Desired, request_id: str, behaviour: str) -> None:
         """Adopt what a robot runs already: this core has no record of it, and the robot must not stop for that."""
         order = self._adopted(request_id, behaviour)
         if order is None:
             return
+        if state.order is not None:
+            self._leave(state.robot, state.order, order)
         self._hold(order, state.robot).reason = given("adopted after a restart of the core")
         state.set_order(order, self._scheduler.now_s())
         state.settled = order.adopted
@@ -404,6 +431,7 @@ class RequestHandler:
             request_order.note(
                 entry.key.removeprefix(WANTED), order.request_id, (order.operator, order.clock), order.stamp_s
             )
+            self._restored.add(order.request_id)
             reason = "before the core was started again"
             self._board.remember(
                 RequestStatus(request_id=order.request_id, behaviour=order.behaviour, phase="ended", reason=reason)

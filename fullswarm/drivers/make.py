@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -316,8 +316,12 @@ def make_of(url: str) -> Make:
     return Make(scheme, scheme, (scheme,), registry.driver_target(url))
 
 
-def named(name: str) -> Make:
+def named(name: str, also: Iterable[str] = ()) -> Make:
     """Return the make of that name that can be emulated.
+
+    Parameters
+    ----------
+    also : other names that the user may have meant
 
     Raises
     ------
@@ -326,8 +330,9 @@ def named(name: str) -> Make:
     """
     known = {each.name: each for each in makes() if each.emulation}
     if name not in known:
-        choice = ", ".join(f"'{each}'" for each in known)
-        raise ConfigError(f"'{name}' is not one of {choice}", where="emulate", hint=did_you_mean(name, known))
+        names = [*known, *also]
+        choice = ", ".join(f"'{each}'" for each in names)
+        raise ConfigError(f"'{name}' is not one of {choice}", where="emulate", hint=did_you_mean(name, names))
     return known[name]
 
 

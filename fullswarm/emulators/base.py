@@ -165,12 +165,15 @@ class Emulator(ABC):
     ----------
     url : the URL with which a driver opens it
     faults : the faults of all links, both directions
+    lacks : commands of `fullswarm emulate` that mean nothing to it, though its body would obey them
 
     Raises
     ------
     DriverError
         A port cannot be had.
     """
+
+    lacks: tuple[str, ...] = ()
 
     def __init__(
         self,

@@ -112,6 +112,7 @@ class RehearsedStore(Store):
 
     def die(self) -> None:
         """Leave the file as the end of the process leaves it: all commits are in it."""
+        self._unsaved.clear()
         self.close()
 
     def lose_power(self, chance: random.Random) -> None:
@@ -119,7 +120,7 @@ class RehearsedStore(Store):
         content, log = self.file.read_bytes(), self._log.read_bytes() if self._log.exists() else b""
         since_s = self._true_s() - UNWRITTEN_S
         safe = max((size for at_s, size in self._sizes if at_s <= since_s), default=0)
-        self.close()
+        self.die()
         for each in (self._log, self.file.with_name(f"{self.file.name}-shm")):
             each.unlink(missing_ok=True)
         self.file.write_bytes(content)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import select
 import signal
@@ -14,9 +15,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
 import pytest
 
 from fullswarm.clock import MonotonicClock
+from fullswarm.drivers.lidar.sensor import LidarSensor
+from fullswarm.drivers.lidar.settings import parse_url
+from tests.waiting import until
 
 CLOCK = MonotonicClock()
 # Whoever runs these tests under `nohup` passes on that a closed terminal is nothing.
@@ -140,6 +145,43 @@ def test_each_make_passes_the_guided_test_through_its_real_port(tmp_path: Path) 
             assert (code, result["passed"]) == (0, True), told
             for name in ("forwards", "backwards", "left", "right", "silence stops it", "close"):
                 assert verdicts[name] == "passed"
+
+
+@pytest.mark.parametrize("kind", ["ld19", "rplidar"])
+def test_an_emulated_lidar_is_read_as_the_printed_line_says_and_can_be_carried(kind: str, tmp_path: Path) -> None:
+    port = str(tmp_path / "lidar")
+    with Process("emulate", kind, "--port", port, "--json") as process:
+        announced = process.first_line()
+        assert announced["clients"]["fleet file"] == f'ranges = "{kind}://{port}"'
+        lidar = LidarSensor(parse_url(announced["url"]))
+        try:
+            lidar.start()
+            until(lambda: measured_m(lidar, 0.0) == pytest.approx(3.0, abs=0.02), START_S)
+            assert measured_m(lidar, math.pi / 2) == pytest.approx(2.0, abs=0.02)
+            process.say("push 1 0")
+            until(lambda: measured_m(lidar, 0.0) == pytest.approx(2.0, abs=0.02), START_S)
+            assert measured_m(lidar, math.pi) == pytest.approx(4.0, abs=0.02)
+            process.say("help")
+            assert "press the bumper" not in process.tells("hold the lidar's motor")
+            process.say("block on")
+            until(lambda: bool(lidar.trouble), START_S)
+            process.say("bump on")
+            process.tells("'bump' is not supported")
+        finally:
+            lidar.close()
+        process.say("quit")
+        assert process.end()[0] == 0
+    code, _, told = fullswarm("emulate", kind, "--model", "a1")
+    assert (code, "means nothing to an emulated" in told) == (2, True), told
+
+
+def measured_m(lidar: LidarSensor, angle_rad: float) -> float:
+    """Return what a lidar has measured in a direction, m; NaN: nothing yet."""
+    if not lidar.scans:
+        return math.nan
+    scan = lidar.scans[0]
+    away_rad = np.abs([math.remainder(each - angle_rad, math.tau) for each in scan.angles_rad])
+    return float(scan.distances_m[int(np.argmin(away_rad))])
 
 
 def test_a_robot_at_a_cliff_does_not_pass(tmp_path: Path) -> None:

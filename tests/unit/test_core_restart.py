@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
 from fullswarm.errors import ConfigError
-from fullswarm.messages import ControlRequest, Message, RequestStatus, StopRequest
-from fullswarm.store import Store
+from fullswarm.messages import ControlRequest, Message, ParamEntry, RequestStatus, StopRequest
+from fullswarm.store import Store, Stored
 from tests.unit.core_restart import restart_core
 from tests.unit.core_swarm import KEYS, Swarm
 
@@ -112,6 +113,94 @@ def test_a_database_that_fails_does_not_end_the_core(monkeypatch: pytest.MonkeyP
     swarm.bus.publish(KEYS.stop, StopRequest(id="s"))
     swarm.run(0.2)
     assert swarm.status("s").running == ("r0", "r1", "r2")
+    swarm.close()
+
+
+class FullDisk:
+    """The disk of a swarm's core: while `full`, its database takes nothing."""
+
+    def __init__(self, swarm: Swarm, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.full = False
+        write = swarm.store.set_many
+
+        def set_many(values: Mapping[str, Stored], author: str) -> tuple[ParamEntry, ...]:
+            if self.full:
+                raise ConfigError("the local database fails: disk full")
+            return write(values, author)
+
+        monkeypatch.setattr(swarm.store, "set_many", set_many)
+
+
+def die(swarm: Swarm, path: Path) -> None:
+    """Let the core die without a word to its database, and another one start."""
+    swarm.core.close()
+    swarm.store._db.close()
+    swarm.run(0.4)
+    swarm.start_core(Store(path))
+
+
+def test_what_a_full_disk_did_not_take_is_saved_when_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without that a core that dies later takes the robots back to what they had been asked for before."""
+    swarm = Swarm(store=Store(tmp_path / "core.db"))
+    disk = FullDisk(swarm, monkeypatch)
+    swarm.ask("a", "flocking")
+    swarm.run(0.2)
+    disk.full = True
+    swarm.ask("b", "rendezvous")
+    swarm.run(3.0)
+    disk.full = False
+    swarm.run(0.6)
+    assert not swarm.store.unsaved
+    die(swarm, tmp_path / "core.db")
+    for robot in swarm.robots.values():  # they know nothing either
+        robot.kill()
+        robot.start()
+    swarm.run(1.0)
+    assert swarm.behaviours() == ["rendezvous"] * 3
+    assert all(robot.log.count(("on", "flocking", "a")) == 1 for robot in swarm.robots.values())
+    swarm.close()
+
+
+def test_a_core_that_died_with_a_full_disk_leaves_robots_what_they_were_asked_for_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swarm = Swarm(store=Store(tmp_path / "core.db"))
+    disk = FullDisk(swarm, monkeypatch)
+    swarm.ask("a", "flocking")
+    swarm.run(0.2)
+    disk.full = True
+    swarm.ask("b", "rendezvous")
+    swarm.run(0.3)
+    die(swarm, tmp_path / "core.db")
+    swarm.run(2.0)
+    assert swarm.behaviours() == ["rendezvous"] * 3
+    assert all(("on", "flocking", "a") not in robot.log[1:] for robot in swarm.robots.values())
+    assert swarm.status("b").phase == "running"
+    assert swarm.status("a").phase in ("superseded", "ended")
+    swarm.ask("c", "voronoi_coverage")
+    swarm.run(0.3)
+    assert swarm.behaviours() == ["voronoi_coverage"] * 3
+    swarm.close()
+
+
+def test_a_robot_that_was_to_stand_is_stopped_by_a_core_that_has_forgotten_its_request(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swarm = Swarm(store=Store(tmp_path / "core.db"))
+    disk = FullDisk(swarm, monkeypatch)
+    swarm.ask("a", "flocking")
+    swarm.run(0.2)
+    swarm.ask("s", "stop")
+    swarm.run(0.2)
+    disk.full = True
+    swarm.ask("b", "rendezvous")
+    swarm.run(0.3)
+    assert swarm.behaviours() == ["rendezvous"] * 3
+    die(swarm, tmp_path / "core.db")
+    swarm.run(2.0)
+    assert swarm.behaviours() == [""] * 3
     swarm.close()
 
 

@@ -114,6 +114,41 @@ def test_a_change_is_whole_or_not_at_all(tmp_path: Path) -> None:
     other.close()
 
 
+def test_what_could_not_be_written_is_written_later_with_the_newest_values(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fullswarm.store.BUSY_S", 0.02)
+    path = tmp_path / "core.db"
+    store = Store(path)
+    store.set_many({"a": 0, "gone": 1, "away": 2}, "ann")
+    other = sqlite3.connect(path, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    store.keep({"a": 1, "never": None, "gone": None}, "core 1")
+    store.keep({"a": 2, "b": [3]}, "core 1")
+    store.keep({"bad": math.nan}, "core 1")  # nothing of it waits
+    store.forget("away")
+    with pytest.raises(ConfigError, match="locked"):
+        store.set("b", 4, "ann")
+    store.save(wait=False)
+    assert waits(store)
+    other.execute("ROLLBACK")
+    store.set("b", 5, "ann")  # is newer than what waits
+    store.save(wait=False)
+    assert not waits(store)
+    other.close()
+    again = Store(path)
+    assert {each.key: each.value for each in again.list()} == {"a": 2, "b": 5}
+    assert not again.history("away")
+    again.close()
+    store.keep({"c": 6}, "core 1")
+    assert not waits(store)
+    store.close()
+
+
+def waits(store: Store) -> bool:
+    return store.unsaved
+
+
 def test_what_is_no_database_is_said_so(tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
     path.write_text("not a database, but long enough to look at " * 10)

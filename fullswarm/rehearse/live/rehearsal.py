@@ -219,7 +219,8 @@ class LiveRehearsal:
     def _beat(self, beat: Heartbeat) -> None:
         before = self.beats.get(beat.node)
         if before is not None and before[1] != beat.process:
-            self._up(beat.node)
+            # Its first beat, also where this process was too busy to receive that in time.
+            self._up(beat.node, beat.stamp_s - (beat.sequence - 1) / self.config.core.heartbeat_hz)
             self._write("Started", node=beat.node, process=beat.process)
         self.beats[beat.node] = self.runtime.now_s(), beat.process
 
