@@ -14,16 +14,21 @@ from fullswarm.launch import HEALTH
 from fullswarm.stderr import survive_full_disk
 
 
-def plain_logs() -> None:
-    """Log to stderr for a journal, without colours; and without rich, which structlog imports for screens only.
+def import_structlog() -> None:
+    """Import it without rich, which it takes for screens only.
 
-    With it come pygments and a parser of markdown: 8 MB and half a second on a small computer.
+    With rich come pygments and a parser of markdown: 8 MB, and half a second on a small computer.
     """
     if "structlog" not in sys.modules and "rich" not in sys.modules:
         sys.modules["rich"] = None  # type: ignore[assignment]  # as if it were not installed
-        import structlog
+        import structlog  # noqa: F401
 
         del sys.modules["rich"]
+
+
+def plain_logs() -> None:
+    """Log to stderr for a journal, without colours and times."""
+    import_structlog()
     import structlog
 
     structlog.configure(
@@ -59,6 +64,8 @@ def run_agent(robot: str, fleet: str) -> int:
 
 
 if __name__ == "__main__":
+    if "--with-parent" in sys.argv:  # its log is a file, and when it has died it must be back soon
+        import_structlog()
     if on_board := asked_for(sys.argv[1:]):
         sys.exit(run_agent(*on_board))
     from fullswarm.cli.main import main

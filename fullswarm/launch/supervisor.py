@@ -285,10 +285,12 @@ class Supervisor:
                     raise ConfigError(child.given_up.removeprefix("error: "), where=child.name)
             elif child.again_s == 0.0:
                 _note_end(child, code)
+                log.warning("a process died and is started again", process=child.name, code=code)
                 if now_s - child.started_s > STEADY_S:
                     child.backoff_s = FIRST_BACKOFF_S
-                log.warning("a process died and is started again", process=child.name, code=code)
-                child.again_s = now_s + child.backoff_s
+                    self._spawn(child)
+                else:
+                    child.again_s = now_s + child.backoff_s
             elif now_s >= child.again_s:
                 child.again_s = 0.0
                 child.backoff_s = min(2.0 * child.backoff_s, LAST_BACKOFF_S)

@@ -8,7 +8,7 @@ import pytest
 
 from fullswarm.bus.network_faults import parse_network
 from fullswarm.rehearse.live.judge import Ask, Doing, Down, Published, Ran, Record
-from fullswarm.rehearse.live.plan import DECK, conditions, plan
+from fullswarm.rehearse.live.plan import DECK, DISK_FULL, conditions, plan
 
 
 def ran(t: float, request_id: str, sequence: int, agent: str = "r1-a", core: str = "c", **fields: bool) -> Ran:
@@ -48,6 +48,9 @@ def test_a_motion_after_a_stop_or_without_an_agent_or_before_anything_was_asked(
         assert len(record.judge().uncommanded) == 1
         record.downs = [Down(down.name, 24.0, 25.0)]
         assert record.judge().clean, "it takes a moment to notice"
+    record = good()
+    record.downs = [Down(DISK_FULL, 24.0)]
+    assert record.judge().clean, "the core lives"
 
 
 @pytest.mark.parametrize(("stopped_s", "wrong"), [(24.0, 0), (30.0, 1)])

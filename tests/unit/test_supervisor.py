@@ -19,7 +19,15 @@ from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports
-from fullswarm.launch.supervisor import END_S, FIRST_BACKOFF_S, FROZEN_S, SILENT_S, STEADY_S, Supervisor
+from fullswarm.launch.supervisor import (
+    END_S,
+    FIRST_BACKOFF_S,
+    FROZEN_S,
+    SILENT_S,
+    STEADY_S,
+    WATCH_S,
+    Supervisor,
+)
 from fullswarm.operator.render import footer_lines
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Runtime
@@ -127,12 +135,12 @@ def end(supervisor: Supervisor, code: int) -> None:
     process.code = code
 
 
-def test_a_process_that_ran_well_is_started_again_soon(watched: tuple[Runtime, Supervisor]) -> None:
+def test_a_process_that_ran_well_is_started_again_at_once(watched: tuple[Runtime, Supervisor]) -> None:
     runtime, supervisor = watched
     for number in range(6):  # it dies once a day
         runtime.run(STEADY_S + 1.0)
         end(supervisor, 1)
-        runtime.run(FIRST_BACKOFF_S + 0.3)
+        runtime.run(WATCH_S)
         assert supervisor.alive("hub")
         assert supervisor.children["hub"].starts == number + 2
 

@@ -10,6 +10,8 @@ from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from dataclasses import dataclass, field
 
+from fullswarm.rehearse.live.plan import DISK_FULL
+
 AGENT_DEAD_S = 1.5
 """A body may move this long after its agent's end: the world's own watchdog takes 0.3 s, then it brakes."""
 LINK_DEAD_S = 2.5
@@ -68,7 +70,10 @@ class Published:
 
 @dataclass(frozen=True, slots=True)
 class Down:
-    """A process did not work, or could not be reached: a robot's agent, "core", "hub"."""
+    """A process did not work, or could not be reached: a robot's agent, "core", "hub".
+
+    With a full disk the core answers late, but robots may drive.
+    """
 
     name: str
     from_s: float
@@ -207,7 +212,7 @@ class Record:
 
     def _trouble_s(self, robot: str, from_s: float, to_s: float) -> float:
         """Return how long, between two moments, a process between operator and `robot` was down or recovering."""
-        names = (robot, "hub", "core", f"link of {robot}", f"e-stop of {robot}")
+        names = (robot, "hub", "core", DISK_FULL, f"link of {robot}", f"e-stop of {robot}")
         spans = sorted((max(each.from_s, from_s), min(each.to_s + RECOVER_S, to_s)) for each in self.downs
                        if each.name in names and each.from_s < to_s and each.to_s + RECOVER_S > from_s)  # fmt: skip
         total_s, end_s = 0.0, from_s

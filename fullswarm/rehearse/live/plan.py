@@ -5,10 +5,11 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
+DISK_FULL = "core's disk full"
 DECK = (
     "agent killed", "agent killed", "agent killed", "agent paused", "agent paused", "core killed", "core paused",
     "centralised killed", "hub killed", "hub paused", "robots cut off", "operator killed", "e-stop", "late request",
-    "core's disk full",
+    DISK_FULL,
 )  # fmt: skip
 """One round; shuffled again for each."""
 FIRST_S = 3.0

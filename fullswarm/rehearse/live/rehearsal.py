@@ -32,7 +32,7 @@ from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports
 from fullswarm.launch.supervisor import STORE, Supervisor
-from fullswarm.launch.world import WorldNode
+from fullswarm.launch.world import WorldNode, compile_kernels
 from fullswarm.messages import (
     BehaviourRequest,
     ControlAck,
@@ -49,13 +49,12 @@ from fullswarm.messages import (
 from fullswarm.operator.client import Operator
 from fullswarm.reasons import Code
 from fullswarm.rehearse.live.judge import Ask, Doing, Down, Published, Ran, Record
-from fullswarm.rehearse.live.plan import Fault, conditions, plan
+from fullswarm.rehearse.live.plan import DISK_FULL, Fault, conditions, plan
 from fullswarm.runtime import Mailbox, Runtime
 
 OPERATOR_MODULE = "fullswarm.rehearse.live.operator_process"
 LOSS = 0.01
 """Share of all messages that is lost all the time."""
-DISK_FULL = "core's disk full"
 OPERATORS = (("ann", "ann-shell"), ("ann", "ann-pad"), ("bob", "bob-shell"))
 LOOK_S = 0.1
 FRESH_S = 1.2
@@ -124,6 +123,7 @@ class LiveRehearsal:
         self.folder = self.supervisor.folder
         self.events = (self.folder / "events.jsonl").open("w", encoding="utf-8")
         self.bus = ZenohBus(self.runtime.mailbox, hub=self.config.hub.endpoint)
+        compile_kernels(self.config)  # else what robots see of each other takes a third of a core
         self.world = WorldNode(self.bus, self.runtime, self.config, "world-here")
         self.me = Operator(self.bus, self.keys, self.runtime, "rehearsal", name="eve", clock=clock_id())
         self.seen = {name: Seen() for name in names}
@@ -287,13 +287,13 @@ class LiveRehearsal:
             return
         before = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (0, before[1]))
-        self._go_down("core")
+        self._go_down(DISK_FULL)
 
         def empty() -> None:
             with suppress(ProcessLookupError):  # it has ended, and its successor has no limit
                 resource.prlimit(process.pid, resource.RLIMIT_FSIZE, before)
-            self._up("core")
-            self._wait_for(fault, self._affected(fault), "core")
+            self._up(DISK_FULL)
+            self._wait_for(fault, self._affected(fault), DISK_FULL)
 
         self.runtime.after(fault.lasts_s, empty)
 
