@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fullswarm.agent.pose.map_field import MapField
-from fullswarm.agent.pose.map_localizer import MapLocalizer
+from fullswarm.agent.pose.map_localizer import MANY_SEARCHES, MapLocalizer
 from fullswarm.agent.pose.pose_filter import OdometryNoise, between
 from fullswarm.config import SwarmConfig
 from fullswarm.evaluate.scenarios import boxes_for, load_scenario
@@ -79,6 +79,28 @@ def test_a_robot_is_located_within_5_cm_and_found_again_within_20_s(
     assert math.sqrt(float(np.mean(np.square(errors_m)))) <= 0.05
     assert found_s is not None
     assert found_s <= 20.0
+
+
+@pytest.mark.parametrize(("box", "found"), [(0.25, True), (None, False)])
+def test_a_corner_that_differs_little_from_the_others_is_found_after_some_seconds_and_one_that_does_not_never(
+    box: float | None, found: bool
+) -> None:
+    bounds_m, pose, rng = (0.0, 0.0, 8.0, 8.0), np.array([1.2, 1.5, 0.4]), np.random.default_rng(2)
+    given = np.zeros((0, 4)) if box is None else np.array([[3.0, 2.8, box, box]])
+    walls = np.array([(-0.5, 4.0, 0.5, 8.0), (8.5, 4.0, 0.5, 8.0), (4.0, -0.5, 8.0, 0.5), (4.0, 8.5, 8.0, 0.5)])
+    boxes = np.vstack([given, walls])
+    field = MapField(np.column_stack([given, np.zeros((len(given), 2))]), bounds_m, walls=True)
+    robot = MapLocalizer(field, 0.17, OdometryNoise(0.02, 0.03), np.random.default_rng(1))
+    seconds, place = 0.0, None
+    while place is None and seconds < (20.0 if found else 12.0):
+        seconds += PERIOD_S
+        place = robot.see(*scan(pose, boxes, rng), PERIOD_S)
+    if not found:
+        assert place is None
+        return
+    assert place is not None
+    assert seconds > 0.1 * MANY_SEARCHES, "what is tried here is not the quick way"
+    assert math.hypot(place.pose[0] - pose[0], place.pose[1] - pose[1]) < 0.05
 
 
 def test_a_whole_robot_that_was_carried_stands_until_its_pose_is_the_new_one() -> None:

@@ -9,6 +9,7 @@ the map any more, it was carried: the whole map is searched until one place fits
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,9 +40,12 @@ DRAWN, TRIED = 12_000, 24
 BEST, AROUND = 60, 40
 OTHER_M, OTHER_RAD = 1.0, 0.8
 SEARCHES = 12
-"""So many searches in a row must find the same place and no other."""
+"""So many searches in a row must find the same place and no other that fits nearly as well."""
 AMBIGUOUS = 0.06
-"""Another place, so far off, that fits nearly as well: which of the two it is cannot be said."""
+"""Another place, so far off, that fits nearly as well: which of the two it is cannot be said by few searches."""
+MANY_SEARCHES, EXACT, SLIGHTLY = 40, 0.9, 0.03
+"""By so many in a row it can, where the map explains so much of what is measured, if one fits better by so much on
+average. A map with more errors may fit a wrong place better by that."""
 WIDEST_M = 0.25
 """Particles that spread wider are no place."""
 LEAST_SIGMA_M, LEAST_SIGMA_RAD = 0.02, 0.01
@@ -80,7 +84,7 @@ class MapLocalizer:
         self._particles = np.zeros((0, 3))
         self._weights = np.zeros(0)
         self._misfit_s = 0.0
-        self._found = 0
+        self._leads: deque[float] = deque(maxlen=MANY_SEARCHES)  # by how much the best place fitted better than others
         self._sure = SURE_SCANS if start is not None else 0
         if start is not None:
             pose, sigma_m, sigma_rad = start
@@ -177,14 +181,23 @@ class MapLocalizer:
         self._particles, self._weights = best, np.full(len(best), 1.0 / len(best))
         other = np.hypot(*(best[:, :2] - best[0, :2]).T) > OTHER_M
         other |= np.abs(np.arctan2(np.sin(best[:, 2] - best[0, 2]), np.cos(best[:, 2] - best[0, 2]))) > OTHER_RAD
-        alone = self.fit >= FITS and not (other.any() and fits[other].max() > self.fit - AMBIGUOUS)
-        same = before is not None and math.hypot(*(best[0, :2] - before[:2])) < OTHER_M
-        self._found = self._found + 1 if alone and same else 0
-        if self._found < SEARCHES:
+        if before is None or math.hypot(*(best[0, :2] - before[:2])) >= OTHER_M or self.fit < FITS:
+            self._leads.clear()
+        self._leads.append(self.fit - float(fits[other].max(initial=0.0)))
+        if not self._alone():
             return
         self._particles = best[0] + self._rng.normal(size=(FEWEST, 3)) * (0.03, 0.03, 0.02)
         self._weights = np.full(FEWEST, 1.0 / FEWEST)
-        self.lost, self._sure, self._misfit_s, self._found = False, 0, 0.0, 0
+        self.lost, self._sure, self._misfit_s = False, 0, 0.0
+        self._leads.clear()
+
+    def _alone(self) -> bool:
+        """Tell whether the place that fits best is the only one."""
+        leads = tuple(self._leads)
+        if self.fit < FITS or len(leads) < SEARCHES:
+            return False
+        clear = min(leads[-SEARCHES:]) >= AMBIGUOUS
+        return clear or (len(leads) == MANY_SEARCHES and self.fit >= EXACT and sum(leads) >= SLIGHTLY * len(leads))
 
     def _blocked(self, poses: Array, free: Array) -> Array:
         """Return which share of the points that rays passed through would be inside an obstacle, (poses,)."""
