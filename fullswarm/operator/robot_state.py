@@ -81,7 +81,7 @@ def row_state(row: RobotRow) -> RowState:
     if health.stop_code in CHARGES:
         # A robot that waits for a dock, or is in one that does not charge, may need help; the others do as planned.
         problem = _CHARGES_NOT.get(health.stop_code, "") if health.battery < FULL else ""
-        return RowState(problem or "away", health.stop_reason, attention=bool(problem))
+        return RowState(problem, health.stop_reason, attention=True) if problem else RowState(health.stop_reason)
     alarm = health.behaviour or health.stop_code not in DELIBERATE
     settled = health.stop_code == Code.SETTLED
     arrived = health.stop_code == Code.ARRIVED and not health.behaviour

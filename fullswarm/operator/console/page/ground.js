@@ -95,7 +95,7 @@ function drawBoxes({ context, view, colours, store }) {
 }
 
 /**
- * A dock is a bracket before the robot that stands in it, with its way in as a dashed line; its name beside it.
+ * A dock is a bracket before the robot that stands in it, with its way in as a dashed line; its name below it.
  * @param {Scene} scene
  */
 function drawDocks({ context, view, dpr, colours, store }) {
@@ -122,10 +122,12 @@ function drawDocks({ context, view, dpr, colours, store }) {
   context.setTransform(dpr, 0, 0, dpr, 0, 0);
   context.fillStyle = colours.ink;
   context.font = "12px system-ui, sans-serif";
+  context.textAlign = "center"; // below it: beside it is the name of the robot that stands in it
   for (const { dock, x, y, phase } of store.docks) {
-    const [left, top] = view.toScreen(x, y);
-    context.fillText(phase === "failed" || phase === "blocked" ? `${dock}: ${phase}` : dock, left + 8, top - 8);
+    const [left, top] = view.toScreen(x, y - HALF_M);
+    context.fillText(phase === "failed" || phase === "blocked" ? `${dock}: ${phase}` : dock, left, top + 14);
   }
+  context.textAlign = "left";
 }
 
 /**

@@ -118,7 +118,8 @@ window.fullswarm = Object.freeze({
       map.placed.map(({ id, x, y, heading, info }) => [id, { ...structuredClone(info), x, y, heading }]),
     );
     return {
-      robots, selection: selection.list(), goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
+      robots, docks: structuredClone(store.docks), selection: selection.list(),
+      goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
       operator: store.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: store.charts.length,
     };
   },
