@@ -16,6 +16,11 @@ STANDSTILL_M_S = 0.005
 LOW_BATTERY = 0.2
 FULL = 0.95
 _CHARGES_NOT: dict[str, str] = {Code.CHARGE_WAITS: "WAITING", Code.DOCKED: "NOT CHARGED"}
+_CHARGES: dict[str, str] = {
+    Code.CHARGE_WAITS: "waiting for a dock", Code.CHARGE_GOING: "going to charge", Code.CHARGE_DOCKING: "docking",
+    Code.CHARGING: "charging", Code.DOCKED: "charged", Code.CHARGE_LEAVING: "leaving its dock",
+    Code.CHARGE_RETURNS: "returning to its task",
+}  # fmt: skip
 UNKNOWN = "Follow its driver's message; if that names no cause, see the robot's log."
 PREVENTED = "It is connected, but prevents motion: remove the reported cause, then request again."
 
@@ -81,7 +86,7 @@ def row_state(row: RobotRow) -> RowState:
     if health.stop_code in CHARGES:
         # A robot that waits for a dock, or is in one that does not charge, may need help; the others do as planned.
         problem = _CHARGES_NOT.get(health.stop_code, "") if health.battery < FULL else ""
-        return RowState(problem, health.stop_reason, attention=True) if problem else RowState(health.stop_reason)
+        return RowState(problem or _CHARGES[health.stop_code], health.stop_reason, attention=bool(problem))
     alarm = health.behaviour or health.stop_code not in DELIBERATE
     settled = health.stop_code == Code.SETTLED
     arrived = health.stop_code == Code.ARRIVED and not health.behaviour
