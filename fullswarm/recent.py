@@ -36,6 +36,12 @@ class Recent(OrderedDict[K, V]):
         if len(self) > self._most:
             self.popitem(last=False)
 
+    def update_in_place(self, key: K, value: V) -> None:
+        """Replace the value of a key that is there, which stays as old as it is."""
+        if key not in self:
+            raise KeyError(key)
+        _write(self, key, value)
+
 
 class Names:
     """The names that other processes use for themselves: which count, and when each is forgotten.

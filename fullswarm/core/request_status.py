@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -10,13 +11,17 @@ import msgspec
 from fullswarm.bus import Bus
 from fullswarm.core.desired import Desired, result_reason
 from fullswarm.keys import Keys
-from fullswarm.messages import Phase, RequestStatus, Result
+from fullswarm.messages import FINAL_PHASES, Phase, RequestStatus, Result
 from fullswarm.reasons import NONE, Reason, joined
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
 AGAIN_S, FRESH_S, MANY = 0.5, 3.0, 8
 """The newest `MANY` statuses are repeated at this interval while younger than `FRESH_S`: a message may be lost."""
+WHOLE_S = 120.0
+"""Of a request that has ended so long ago it is kept how, and no list of its robots: 8192 whole statuses are 15 MB."""
+NO_ROLES: dict[str, str] = {}
+NO_PARAMETERS: dict[str, str] = {}
 
 
 @dataclass(slots=True)
@@ -113,11 +118,27 @@ class StatusBoard:
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._newest: Recent[str, RequestStatus] = Recent(remember)
         self._recent: Recent[str, None] = Recent(MANY)  # published, not only remembered
-        self._timer = scheduler.every(AGAIN_S, self._repeat_recent)
+        self._whole: deque[tuple[float, str]] = deque(maxlen=remember)  # (when, request) of each change, oldest first
+        self._timer = scheduler.every(AGAIN_S, self._tick)
 
     def close(self) -> None:
         """Stop repeating."""
         self._timer.cancel()
+
+    def _tick(self) -> None:
+        self._repeat_recent()
+        self._shorten(self._scheduler.now_s() - WHOLE_S)
+
+    def _shorten(self, before_s: float) -> None:
+        """Drop what nobody asks for any more of requests whose last change is older."""
+        while self._whole and self._whole[0][0] < before_s:
+            at_s, request_id = self._whole.popleft()
+            status = self._newest.get(request_id)
+            if status is not None and status.stamp_s == at_s and status.phase in FINAL_PHASES:
+                short = msgspec.structs.replace(
+                    status, robots=(), running=(), missing=(), left_out=(), roles=NO_ROLES, parameters=NO_PARAMETERS
+                )
+                self._newest.update_in_place(request_id, short)
 
     def _repeat_recent(self) -> None:
         since_s = self._scheduler.now_s() - FRESH_S
@@ -142,6 +163,7 @@ class StatusBoard:
         """Keep `status` without sending it; return it with the present time."""
         stamped = msgspec.structs.replace(status, stamp_s=self._scheduler.now_s())
         self._newest[status.request_id] = stamped
+        self._whole.append((stamped.stamp_s, stamped.request_id))
         return stamped
 
     def repeat(self, request_id: str) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
+from fullswarm.core.request_status import WHOLE_S
 from fullswarm.messages import BehaviourRequest, EStop, ParamReply, ParamRequest, StopRequest
 from tests.unit.core_swarm import KEYS, Robot, Swarm
 
@@ -161,4 +162,24 @@ def test_a_request_that_has_ended_and_is_sent_again_starts_nothing_and_is_logged
         ("request ignored: it has ended, and is sent again", "a")
     ] * 2
     assert swarm.behaviours() == ["", "", ""]
+    swarm.close()
+
+
+def test_of_a_request_that_ended_long_ago_its_end_is_kept_and_no_list_of_robots() -> None:
+    """A core that is asked for something every second for months must not grow by each of it."""
+    swarm = Swarm()
+    swarm.ask("a", "flocking")
+    swarm.run(0.2)
+    swarm.ask("b", "rendezvous")
+    swarm.run(0.5)
+    before = swarm.status("a")
+    assert (before.phase, before.robots) == ("ended", ("r0", "r1", "r2"))
+    swarm.run(WHOLE_S + 1.0)
+    swarm.messages.clear()
+    swarm.ask("a", "flocking")  # it is known all the same, and not executed again
+    swarm.run(0.5)
+    again = swarm.status("a")
+    assert (again.phase, again.reason, again.robots) == ("ended", before.reason, ())
+    assert swarm.behaviours() == ["rendezvous"] * 3
+    assert swarm.status("b").robots == ("r0", "r1", "r2"), "one that runs is whole"
     swarm.close()
