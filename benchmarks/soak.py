@@ -213,7 +213,7 @@ def report(samples: Samples, requester: Requester, page: Page, robots: int, minu
     for what, name, level, slope, number in samples.slopes():
         if number < len(samples.times_s):
             bad.append(f"{name} did not live from the beginning to the end")
-        if slope > LIMITS[what]:
+        if slope > LIMITS.get(what, math.inf):
             bad.append(f"{what} of {name} grow by {slope:.2f} per hour (limit {LIMITS[what]:g})")
         if name.startswith("agent "):
             agents[what].append((level, slope))
