@@ -130,7 +130,7 @@ class StatusBoard:
         self._shorten(self._scheduler.now_s() - WHOLE_S)
 
     def _shorten(self, before_s: float) -> None:
-        """Drop what nobody asks for any more of requests whose last change is older."""
+        """Drop the lists of robots of requests that have ended and whose last change is before `before_s`."""
         while self._whole and self._whole[0][0] < before_s:
             at_s, request_id = self._whole.popleft()
             status = self._newest.get(request_id)
