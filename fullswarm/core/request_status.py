@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -118,7 +117,7 @@ class StatusBoard:
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._newest: Recent[str, RequestStatus] = Recent(remember)
         self._recent: Recent[str, None] = Recent(MANY)  # published, not only remembered
-        self._whole: deque[tuple[float, str]] = deque(maxlen=remember)  # (when, request) of each change, oldest first
+        self._whole: Recent[str, float] = Recent(remember)  # request → when it changed last, the oldest first
         self._timer = scheduler.every(AGAIN_S, self._tick)
 
     def close(self) -> None:
@@ -131,10 +130,13 @@ class StatusBoard:
 
     def _shorten(self, before_s: float) -> None:
         """Drop the lists of robots of requests that have ended and whose last change is before `before_s`."""
-        while self._whole and self._whole[0][0] < before_s:
-            at_s, request_id = self._whole.popleft()
+        while self._whole:
+            request_id, at_s = next(iter(self._whole.items()))
+            if at_s >= before_s:
+                return
+            del self._whole[request_id]
             status = self._newest.get(request_id)
-            if status is not None and status.stamp_s == at_s and status.phase in FINAL_PHASES:
+            if status is not None and status.phase in FINAL_PHASES:
                 short = msgspec.structs.replace(
                     status, robots=(), running=(), missing=(), left_out=(), roles=NO_ROLES, parameters=NO_PARAMETERS
                 )
@@ -163,7 +165,7 @@ class StatusBoard:
         """Keep `status` without sending it; return it with the present time."""
         stamped = msgspec.structs.replace(status, stamp_s=self._scheduler.now_s())
         self._newest[status.request_id] = stamped
-        self._whole.append((stamped.stamp_s, stamped.request_id))
+        self._whole[stamped.request_id] = stamped.stamp_s
         return stamped
 
     def repeat(self, request_id: str) -> bool:
