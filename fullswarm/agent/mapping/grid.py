@@ -45,6 +45,7 @@ class OccupancyGrid:
         self.odds = np.zeros((place.rows, place.columns), np.float32)
         self.changed = np.zeros(place.tiles, bool)
         self._past: deque[tuple[float, NDArray[np.float32]]] = deque()
+        self._marks = np.zeros(place.rows * place.columns, bool)  # all false between two calls
 
     def keep(self, now_s: float) -> None:
         """Keep the grid as it is for :meth:`appeared`, once in `SNAPSHOT_S`."""
@@ -68,12 +69,11 @@ class OccupancyGrid:
         moving : (k,) whether what it hit moves
         """
         odds = self.odds.reshape(-1)
-        firm = self.place.cells(ends[hits & ~moving])
-        firm = np.unique(firm[firm >= 0])
-        loose = self.place.cells(ends[hits & moving])
-        loose = np.setdiff1d(loose[loose >= 0], firm)
+        none = np.empty(0, np.intp)
+        firm = self._once(self.place.cells(ends[hits & ~moving]), none)
+        loose = self._once(self.place.cells(ends[hits & moving]), firm)
         hit = np.concatenate([firm, loose])
-        free = np.setdiff1d(self._passed(origin, ends), hit, assume_unique=True)
+        free = self._once(self._passed(origin, ends), hit)
         touched = np.concatenate([hit, free])
         before = _state(odds[touched])
         odds[firm] = np.minimum(odds[firm] + HIT, MOST)
@@ -101,20 +101,34 @@ class OccupancyGrid:
         if part is not None:
             part[inside] = LEAST
 
+    def _once(self, cells: Index, without: Index) -> Index:
+        """Return each of `cells` once that is in the grid (not negative) and none of `without`, in order.
+
+        Marks in a grid take a tenth of the time of sorting: a scan passes through some 50,000 cells.
+        """
+        marks = self._marks
+        marks[cells[cells >= 0]] = True
+        marks[without] = False
+        found = np.flatnonzero(marks)
+        marks[found] = False
+        return found
+
     def _passed(self, origin: Array, ends: Array) -> Index:
-        """Return the cells that rays passed through, each once."""
-        cell_m = self.place.cell_m
+        """Return the cells that rays passed through, some of them several times."""
+        place, cell_m = self.place, self.place.cell_m
         way = ends - origin
         length_m = np.hypot(way[:, 0], way[:, 1])
-        steps = int(max(0.0, float(length_m.max(initial=0.0))) / cell_m) + 1
-        along_m = (np.arange(steps) + 0.5) * cell_m
-        share = along_m[None, :] / np.maximum(length_m, 1e-9)[:, None]
-        inside = along_m[None, :] < (length_m - SHORT_CELLS * cell_m)[:, None]
-        column = ((origin[0] - self.place.x_min) + share * way[:, 0, None]) / cell_m
-        row = ((origin[1] - self.place.y_min) + share * way[:, 1, None]) / cell_m
-        inside &= (column >= 0.0) & (column < self.place.columns) & (row >= 0.0) & (row < self.place.rows)
-        found = row[inside].astype(np.int64) * self.place.columns + column[inside].astype(np.int64)
-        return np.unique(found)
+        steps = np.maximum(np.ceil(length_m / cell_m - SHORT_CELLS - 0.5), 0.0).astype(np.int64)
+        before = np.cumsum(steps) - steps
+        along_m = (np.arange(steps.sum()) - np.repeat(before, steps) + 0.5) * cell_m
+        along = way / (np.maximum(length_m, 1e-9) * cell_m)[:, None]
+        column = (origin[0] - place.x_min) / cell_m + along_m * np.repeat(along[:, 0], steps)
+        row = (origin[1] - place.y_min) / cell_m + along_m * np.repeat(along[:, 1], steps)
+        inside = (column >= 0.0) & (column < place.columns) & (row >= 0.0) & (row < place.rows)
+        if not inside.all():
+            column, row = column[inside], row[inside]
+        cells: Index = row.astype(np.int64) * place.columns + column.astype(np.int64)
+        return cells
 
     def appeared(self, points: Array, now_s: float) -> Flags:
         """Tell which points (k, 2) lie where all was free, with nothing occupied around: what is there has moved.
