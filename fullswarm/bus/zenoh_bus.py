@@ -31,7 +31,7 @@ from fullswarm.identity.binding import Check, check_of
 from fullswarm.identity.credentials import UNNAMED
 from fullswarm.keys import ANY, ROBOT_ID
 from fullswarm.messages import Message
-from fullswarm.runtime import ROOM, Mailbox
+from fullswarm.runtime import ROOM, Lane, Mailbox
 
 M = TypeVar("M", bound=Message)
 
@@ -326,7 +326,7 @@ class Inbox:
         Keep one message per key: a newer one takes the place of one that still waits.
     with_sender
         Give the handler a :class:`~fullswarm.bus.base.Delivery` in place of the message.
-    urgent
+    at_once
         Run the handler on zenoh's thread when the node is idle (see :meth:`Mailbox.run_now`).
     secured
         The hub guarantees the sender's name: check all fields of messages that depend on it.
@@ -350,7 +350,7 @@ class Inbox:
         *,
         latest: bool,
         with_sender: bool,
-        urgent: bool,
+        at_once: bool,
         secured: bool,
         on_bad: Callable[[str, MessageError], None],
         on_close: Callable[[Inbox], None],
@@ -362,7 +362,7 @@ class Inbox:
         self.expression, self.kind = expression, kind
         self._mailbox, self._handler, self._latest = mailbox, handler, latest
         self._on_bad, self._on_close = on_bad, on_close
-        self._urgent, self._with_sender, self._secured = urgent, with_sender, secured
+        self._at_once, self._with_sender, self._secured = at_once, with_sender, secured
         self._service, self._clock = service_of(expression), MonotonicClock()
         self._too_often = MessageError(f"more than {self._service.rate_hz:g} a second of one sender")
         self._full = MessageError(f"the node is behind: {ROOM[self._service.lane]} messages wait")
@@ -396,7 +396,7 @@ class Inbox:
             self._on_bad(key, error)
             return
         item = Delivery(message, origin.sender) if self._with_sender else message
-        if self._urgent and self._mailbox.run_now(self._deliver, item):
+        if self._at_once and self._mailbox.run_now(self._deliver, item):
             return
         self._enqueue(key, message, item)
 
@@ -473,7 +473,7 @@ class Inbox:
 def is_urgent(key: str) -> bool:
     """Tell whether messages of `key` start, steer or stop robots.
 
-    They have priority on the link, and an idle node handles them on the receiving thread.
+    They have priority on the link, and an idle node handles them on the receiving thread, as it does with states.
     """
     topic, _, rest = key.partition("/")[2].partition("/")
     if topic in ("robot", "behaviour"):
@@ -578,7 +578,7 @@ class ZenohBus:
             handler,
             latest=latest,
             with_sender=with_sender,
-            urgent=is_urgent(expression),
+            at_once=is_urgent(expression) or service_of(expression).lane is Lane.STATES,
             secured=self._secured,
             on_bad=self._drop,
             on_close=self._forget,
