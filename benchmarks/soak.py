@@ -82,6 +82,11 @@ class Samples:
             yield what, name, values[-1], slope, len(values)
 
 
+def _processes(root: psutil.Process) -> int:
+    """Return how many there are, but for the spare one, which comes and goes."""
+    return sum(_name(each.cmdline()) != "spare" for each in root.children(recursive=True))
+
+
 def _name(command: list[str]) -> str:
     """Return what a process is, e.g. ``agent r1`` or ``core``."""
     words = command[command.index("fullswarm") + 1 :] if "fullswarm" in command else command[-1:]
@@ -184,7 +189,7 @@ def soak(robots: int, minutes: float) -> int:
                 return 1
             page = Page(address.group())
             root = psutil.Process(process.pid)
-            count = len(root.children(recursive=True))
+            count = _processes(root)
             timer = requester.runtime.every(1.0, requester.ask)
             end_s = time.monotonic() + 60.0 * minutes
             while time.monotonic() < end_s and process.poll() is None:
@@ -192,7 +197,7 @@ def soak(robots: int, minutes: float) -> int:
                 samples.take(root, Path(folder.group(1)))
             timer.cancel()
             requester.runtime.run(ANSWERED_S)
-            alive = len(root.children(recursive=True)) if process.poll() is None else 0
+            alive = _processes(root) if process.poll() is None else 0
             return report(samples, requester, page, robots, minutes, ended=count - alive)
         finally:
             if page is not None:

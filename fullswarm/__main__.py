@@ -1,7 +1,8 @@
 """``python -m fullswarm``: the same entry point as the ``fullswarm`` command, and that of the agent's unit on a robot.
 
 ``python -m fullswarm agent ROBOT --fleet FILE`` runs the agent without the rest of the command line when
-``FULLSWARM_HEALTH`` is set; ``fullswarm.cli`` is then not imported.
+``FULLSWARM_HEALTH`` is set; ``fullswarm.cli`` is then not imported. ``python -m fullswarm spare`` is a process of a
+supervisor that becomes another one when that has died (:mod:`fullswarm.launch.spare`).
 """
 
 from __future__ import annotations
@@ -66,6 +67,10 @@ def run_agent(robot: str, fleet: str) -> int:
 if __name__ == "__main__":
     if "--with-parent" in sys.argv:  # its log is a file, and when it has died it must be back soon
         import_structlog()
+    if sys.argv[1:2] == ["spare"]:
+        from fullswarm.launch.spare import wait_for_order
+
+        sys.argv[1:] = wait_for_order()
     if on_board := asked_for(sys.argv[1:]):
         sys.exit(run_agent(*on_board))
     from fullswarm.cli.main import main

@@ -30,6 +30,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch.liveness import ALIVE, AlivePipe
 from fullswarm.launch.processes import PARENT, RUN
 from fullswarm.launch.run_folder import RunFolder, bound_log
+from fullswarm.launch.spare import FLEET, Spare
 from fullswarm.messages import ProcessEnd, ProcessPhase, ProcessReport, ProcessState
 from fullswarm.runtime import Scheduler
 
@@ -52,6 +53,10 @@ END_S = 2.0
 LOG_BYTES = 4 * 2**20
 """A longer log of a process begins anew, and what it held is kept once."""
 LOGS_S = 1.0
+SPARE_FIRST_S, SPARE_NEXT_S = 15.0, 5.0
+"""A spare process is made so long after the start, and after another one was used: not while others come up."""
+SPARE_LOG = "spare.process.log"
+"""No process is called so: names have no dots."""
 FROZEN: Literal["frozen"] = "frozen"
 CONSOLE = "console"
 FIXES = "fixes"
@@ -121,6 +126,8 @@ class Supervisor:
     _reported_s: float = -REPORT_S
     _watched_s: float = 0.0
     _run: RunFolder = field(default_factory=RunFolder)
+    _spare: Spare | None = None
+    _closed: bool = False
     folder: Path = field(init=False)
 
     def __post_init__(self) -> None:
@@ -133,7 +140,7 @@ class Supervisor:
 
     def start(self) -> None:
         """Write the fleet file for the children and start them all."""
-        fleet = self.folder / "fleet.toml"
+        fleet = self.folder / FLEET
         write_swarm(self._with_memory(), fleet)
         network = ("--insecure-network",) if self.insecure_network else ()
         file = ("--fleet", str(fleet))
@@ -153,6 +160,8 @@ class Supervisor:
             self._spawn(child)
         self.scheduler.every(WATCH_S, self._watch)
         self.scheduler.every(LOGS_S, self._bound_logs)
+        if self.restart and self.develop is None:  # it would have imported what is then changed
+            self.scheduler.after(SPARE_FIRST_S, self._make_spare)
 
     def add(self, name: str, *arguments: str, guest: bool = False) -> None:
         """Have another process of the ``fullswarm`` command beside the swarm's own; before :meth:`start`.
@@ -204,6 +213,10 @@ class Supervisor:
 
     def close(self) -> None:
         """End all: robots first, so that each stops its own wheels while the rest is still there. Remove the folder."""
+        self._closed = True
+        if self._spare is not None:
+            self._spare.close()
+            self._spare = None
         support = ("world", "centralised", "core", "hub")
         rest = [self.children[name] for name in support if name in self.children]
         console = [self.children[name] for name in (CONSOLE,) if name in self.children]  # nothing needs it
@@ -241,25 +254,48 @@ class Supervisor:
     def _spawn(self, child: Child) -> None:
         if child.pipe is not None:
             child.pipe.close()
-        child.pipe, child.silent_s, child.killed = AlivePipe(), 0.0, False
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid()), RUN: str(self.folder)}
-        environment[ALIVE] = str(child.pipe.inherited)
-        if self.develop is not None:
-            environment[registry.DEVELOP] = str(self.develop)
+        child.silent_s, child.killed = 0.0, False
         log_file = self._log_file(child.name)
-        with log_file.open("ab") as sink, (self.output(child.name) if child.guest else log_file).open("ab") as data:
-            child.process = subprocess.Popen(  # noqa: S603  (our own interpreter and our own module)
-                [sys.executable, "-m", "fullswarm", *child.arguments, "--with-parent"],
-                stdin=subprocess.DEVNULL,
-                stdout=data,
-                stderr=sink,
-                env=environment,
-                pass_fds=(child.pipe.inherited,),
-                start_new_session=True,  # Ctrl-C goes to the supervisor alone, which ends them in order
-            )
-        child.pipe.close_inherited()
+        data = self.output(child.name) if child.guest else log_file
+        arguments = (*child.arguments, "--with-parent")
+        spare, self._spare = self._spare, None
+        if spare is not None:
+            self.scheduler.after(SPARE_NEXT_S, self._make_spare)
+        if spare is not None and spare.become(arguments, log_file, data):
+            child.process, child.pipe = spare.process, spare.pipe
+        else:
+            if spare is not None:
+                spare.close()
+            child.process, child.pipe = self._start(arguments, log_file, data)
         child.starts += 1
         child.started_s = self.scheduler.now_s()
+
+    def _start(
+        self, arguments: tuple[str, ...], log_file: Path, data: Path
+    ) -> tuple[subprocess.Popen[bytes], AlivePipe]:
+        pipe = AlivePipe()
+        with log_file.open("ab") as sink, data.open("ab") as output:
+            process = subprocess.Popen(  # noqa: S603  (our own interpreter and our own module)
+                [sys.executable, "-m", "fullswarm", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=sink,
+                env={**self._environment(), ALIVE: str(pipe.inherited)},
+                pass_fds=(pipe.inherited,),
+                start_new_session=True,  # Ctrl-C goes to the supervisor alone, which ends them in order
+            )
+        pipe.close_inherited()
+        return process, pipe
+
+    def _environment(self) -> dict[str, str]:
+        found = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid()), RUN: str(self.folder)}
+        if self.develop is not None:
+            found[registry.DEVELOP] = str(self.develop)
+        return found
+
+    def _make_spare(self) -> None:
+        if self._spare is None and not self._closed:
+            self._spare = Spare(self._environment(), self.folder / SPARE_LOG)
 
     def _bound_logs(self) -> None:
         for child in self.children.values():

@@ -17,7 +17,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
 from fullswarm.launch.liveness import PERIOD_S
 from fullswarm.launch.network import on_free_ports
-from fullswarm.launch.supervisor import SILENT_S
+from fullswarm.launch.supervisor import SILENT_S, SPARE_FIRST_S
 from fullswarm.messages import RequestStatus, Version, versions
 from fullswarm.operator.client import Operator
 from fullswarm.operator.view import FleetView, ProcessRow
@@ -88,6 +88,35 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
         yield made
     finally:
         made.close()
+
+
+def child(up: Up, word: str) -> psutil.Process | None:
+    """Return a process of the swarm by a word of its command line."""
+    found = (each for each in psutil.Process(up.process.pid).children() if word in each.cmdline())
+    return next(found, None)
+
+
+def test_a_killed_robot_s_next_process_was_there_before(up: Up) -> None:
+    """It has imported all, shows what it is now, and writes into the robot's own log."""
+    spare: list[psutil.Process] = []
+
+    def is_there() -> bool:
+        up.runtime.run(0.05)
+        spare[:] = [each for each in [child(up, "spare")] if each is not None]
+        return bool(spare)
+
+    until(is_there, SPARE_FIRST_S + 30.0, "there is a spare process")
+    robot = child(up, "r2")
+    assert robot is not None
+    robot.kill()
+    until(lambda: up.rows()["r2"].state.starts == 2 and up.running(), 30.0, "r2 runs again")
+    again = child(up, "r2")
+    assert again is not None
+    assert again.pid == spare[0].pid
+    words = [each for each in again.cmdline() if each]
+    assert (words[1:5], words[-1]) == (["-m", "fullswarm", "agent", "r2"], "--with-parent")
+    files = [Path(f"/proc/{again.pid}/fd/{number}").readlink() for number in (0, 1, 2)]
+    assert (str(files[0]), files[1].name, files[2].name) == ("/dev/null", "r2.log", "r2.log")
 
 
 def test_a_frozen_core_is_started_again_and_operators_learn_why(up: Up) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
+import json
 import math
 import os
 import signal
 import socket
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,6 +27,8 @@ from fullswarm.launch.supervisor import (
     FIRST_BACKOFF_S,
     FROZEN_S,
     SILENT_S,
+    SPARE_FIRST_S,
+    SPARE_NEXT_S,
     STEADY_S,
     WATCH_S,
     Supervisor,
@@ -62,13 +67,26 @@ def test_swarms_side_by_side_do_not_wish_for_the_same_free_ports() -> None:
     assert [each.driver.partition(":")[0] for each in first.robot] == ["", "mavlink+udp", "create"]
 
 
+class Told(io.BytesIO):
+    """A pipe that remembers what was written into it."""
+
+    text = ""
+
+    def close(self) -> None:
+        if not self.closed:
+            self.text = self.getvalue().decode()
+        super().close()
+
+
 class Process:
     """A process that ends when it is told, with `code`; `born` is the code of those that end as they are started."""
 
     born: int | None = None
 
-    def __init__(self, *_: Any, pass_fds: tuple[int, ...], **__: Any) -> None:
+    def __init__(self, words: list[str], *_: Any, pass_fds: tuple[int, ...], **__: Any) -> None:
         self.code = Process.born
+        self.is_spare = words[3] == "spare"
+        self.stdin = Told()
         self.alive = os.dup(pass_fds[0])  # it has an end of the pipe of its own
 
     def beat(self) -> None:
@@ -151,6 +169,80 @@ def test_a_process_that_dies_at_once_is_started_ever_more_rarely(watched: tuple[
     end(supervisor, 1)
     runtime.run(60.0)
     assert 10 <= supervisor.children["hub"].starts <= 20
+
+
+def test_a_process_that_died_is_followed_by_one_that_has_imported_all(watched: tuple[Runtime, Supervisor]) -> None:
+    runtime, supervisor = watched
+    runtime.run(SPARE_FIRST_S + 0.1)
+    assert not hub_of(supervisor).is_spare
+    end(supervisor, 1)
+    runtime.run(WATCH_S)
+    second = hub_of(supervisor)
+    assert second.is_spare
+    order = json.loads(second.stdin.text)
+    assert order["arguments"][0] == "hub"
+    assert order["arguments"][-1] == "--with-parent"
+    assert order["log"] == order["data"] == str(supervisor.folder / "hub.log")
+    second.beat()  # on the pipe that the supervisor now watches
+    runtime.run(WATCH_S)
+    assert supervisor.children["hub"].looks() == "running"
+    runtime.run(STEADY_S)
+    supervisor.children["core"].process = None  # only the hub is looked at here
+    end(supervisor, 1)
+    runtime.run(WATCH_S)
+    assert hub_of(supervisor).is_spare
+    assert hub_of(supervisor) is not second
+
+
+def test_two_that_die_at_once_are_both_started_again(watched: tuple[Runtime, Supervisor]) -> None:
+    runtime, supervisor = watched
+    runtime.run(SPARE_FIRST_S + 0.1)
+    names = ("hub", "core")
+    processes: list[Any] = [supervisor.children[name].process for name in names]
+    for each in processes:
+        each.code = 1
+    runtime.run(WATCH_S)
+    again: list[Any] = [supervisor.children[name].process for name in names]
+    assert [each.is_spare for each in again] == [True, False]
+    assert all(map(supervisor.alive, names))
+
+
+def test_a_spare_process_that_died_is_not_used(watched: tuple[Runtime, Supervisor]) -> None:
+    runtime, supervisor = watched
+    Process.born = 1
+    runtime.run(SPARE_FIRST_S + 0.1)  # it has died as it was made
+    Process.born = None
+    end(supervisor, 1)
+    runtime.run(WATCH_S)
+    assert not hub_of(supervisor).is_spare
+    assert supervisor.alive("hub")
+    runtime.run(max(SPARE_NEXT_S, STEADY_S) + 0.1)
+    end(supervisor, 1)
+    runtime.run(WATCH_S)
+    assert hub_of(supervisor).is_spare
+
+
+def test_no_spare_process_has_what_a_developer_changes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    Process.born = None
+    runtime = Runtime(SimClock())
+    made = Supervisor(SwarmConfig(), runtime, develop=tmp_path)
+    made.start()
+    runtime.run(SPARE_FIRST_S + 0.1)
+    end(made, 1)
+    runtime.run(1.0)
+    assert not hub_of(made).is_spare
+    made.close()
+
+
+def test_a_spare_process_that_gets_no_order_says_so() -> None:
+    tried = subprocess.run(
+        [sys.executable, "-m", "fullswarm", "spare"], input=b"{}\n", capture_output=True, check=False, timeout=60
+    )
+    assert (tried.returncode, tried.stdout) == (2, b"")
+    assert b"error: only `fullswarm up`" in tried.stderr
+    ended = subprocess.run([sys.executable, "-m", "fullswarm", "spare"], input=b"", capture_output=True, timeout=60)
+    assert (ended.returncode, ended.stderr) == (0, b"")
 
 
 def test_wrong_settings_end_the_supervisor_with_the_code_for_that(watched: tuple[Runtime, Supervisor]) -> None:
