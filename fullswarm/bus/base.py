@@ -22,6 +22,14 @@ class Delivery(NamedTuple, Generic[M]):
     sender: str
 
 
+class Carried(NamedTuple):
+    """A message as it is on the wire: its key without the sender, who published it, its bytes (`bus/codec.py`)."""
+
+    key: str
+    sender: str
+    data: bytes
+
+
 class Subscription(Protocol):
     """A standing interest in a key expression."""
 

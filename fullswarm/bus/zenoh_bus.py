@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar
 import structlog
 import zenoh
 
-from fullswarm.bus.base import Delivery, Subscription, matches
+from fullswarm.bus.base import Carried, Delivery, Subscription, matches
 from fullswarm.bus.codec import LARGEST_BYTES, decode, encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, host_of, is_secured
 from fullswarm.bus.lanes import Bucket, service_of
@@ -470,6 +470,58 @@ class Inbox:
             untyped(declared.undeclare)
 
 
+class Tap:
+    """One handler's interest in all that comes on a key expression, whatever it is."""
+
+    def __init__(
+        self,
+        mailbox: Mailbox,
+        expression: str,
+        handler: Callable[[Carried], None],
+        on_close: Callable[[Tap], None],
+    ) -> None:
+        self.expression = expression
+        self._mailbox, self._handler, self._on_close = mailbox, handler, on_close
+        self._declared: zenoh.Subscriber[None] | None = None
+        self._active = True
+
+    def declare(self, session: zenoh.Session) -> None:
+        """Subscribe at the hub. The caller does this once."""
+        callback = zenoh.handlers.Callback(self.receive, indirect=False)
+        expression = wire_key(self.expression, ANY)
+        self._declared = session.declare_subscriber(expression, callback, allowed_origin=zenoh.Locality.REMOTE)
+
+    def receive(self, sample: zenoh.Sample) -> None:
+        """Take a message of another process; what is longer than any of ours is dropped."""
+        if len(sample.payload) > LARGEST_BYTES:
+            self._mailbox.note_drop("too long")
+            return
+        swarm, _, rest = str(sample.key_expr).partition("/")
+        sender, _, rest = rest.partition("/")
+        item = Carried(f"{swarm}/{rest}", "" if sender == UNNAMED else sender, sample.payload.to_bytes())
+        self._mailbox.put_into(Lane.READS, self._deliver, item, _ignore)
+
+    def _deliver(self, item: Carried) -> None:
+        if self._active:
+            self._handler(item)
+
+    def close(self) -> None:
+        """Stop delivering; closing twice is fine."""
+        if self._active:
+            self._active = False
+            self._on_close(self)
+
+    def undeclare(self) -> None:
+        """Withdraw the declaration at the hub."""
+        declared, self._declared = self._declared, None
+        if declared is not None:
+            untyped(declared.undeclare)
+
+
+def _ignore(_: object) -> None:
+    """Do nothing: the mailbox counts what it drops."""
+
+
 def is_urgent(key: str) -> bool:
     """Tell whether messages of `key` start, steer or stop robots.
 
@@ -526,6 +578,7 @@ class ZenohBus:
         self.dropped = self.unsent = 0
         self._mailbox = mailbox
         self._inboxes: list[Inbox] = []
+        self._taps: list[Tap] = []
         self._routes: dict[str, tuple[Inbox, ...]] = {}
         self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
         self._logged: set[str] = set()
@@ -591,6 +644,19 @@ class ZenohBus:
                     inbox.declare(self._session)
         return inbox
 
+    def tap(self, expression: str, handler: Callable[[Carried], None]) -> Subscription:
+        """Deliver all messages of other processes on matching keys to `handler`, unread, with their keys.
+
+        Those that find no room in the mailbox are lost, and counted there.
+        """
+        tap = Tap(self._mailbox, expression, handler, self._forget)
+        with self._lock:
+            if not self._closed:
+                self._taps.append(tap)
+                if self._session is not None:
+                    tap.declare(self._session)
+        return tap
+
     def connected(self) -> bool:
         """Tell whether the hub is connected; false within milliseconds of its end."""
         return self._link.up
@@ -609,9 +675,10 @@ class ZenohBus:
         """End all subscriptions and leave the hub; at most 0.5 s. Closing twice is fine."""
         with self._lock:
             self._closed, self._session = True, None
-            inboxes, self._inboxes, self._routes = self._inboxes, [], {}
-        for inbox in inboxes:
-            inbox.close()
+            listening: list[Inbox | Tap] = [*self._inboxes, *self._taps]
+            self._inboxes, self._taps, self._routes = [], [], {}
+        for each in listening:
+            each.close()
         self._link.close()
 
     def _on_open(self, session: zenoh.Session) -> None:
@@ -620,6 +687,8 @@ class ZenohBus:
                 self._session = session
                 for inbox in self._inboxes:
                     inbox.declare(session)
+                for tap in self._taps:
+                    tap.declare(session)
                 if not self._secured:
                     callback = zenoh.handlers.Callback(self._on_old_version, indirect=False)
                     session.declare_subscriber(OLD_HEARTBEATS, callback, allowed_origin=zenoh.Locality.REMOTE)
@@ -658,13 +727,18 @@ class ZenohBus:
             self._publishers[sender, key] = publisher
         return publisher
 
-    def _forget(self, inbox: Inbox) -> None:
+    def _forget(self, listening: Inbox | Tap) -> None:
         with self._lock:
-            if inbox not in self._inboxes:
-                return
-            self._inboxes.remove(inbox)
-            self._routes = {}
-            inbox.undeclare()
+            if isinstance(listening, Tap):
+                if listening not in self._taps:
+                    return
+                self._taps.remove(listening)
+            else:
+                if listening not in self._inboxes:
+                    return
+                self._inboxes.remove(listening)
+                self._routes = {}
+            listening.undeclare()
 
     def _drop(self, key: str, error: MessageError) -> None:
         with self._count_lock:

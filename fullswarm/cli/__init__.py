@@ -13,6 +13,7 @@ file               commands
 ``leases.py``      `leases`, `leases hold`
 ``joystick.py``    `joystick`, `joystick list|test|map`
 ``audit.py``       `audit show|verify`
+``record.py``      `record start|stop|info|repair`
 ``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``fixes.py``       `fixes`, `fixes record|play`

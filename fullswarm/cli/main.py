@@ -20,6 +20,7 @@ from fullswarm.cli.leases import leases_app
 from fullswarm.cli.mission import mission_app
 from fullswarm.cli.options import Json, shell_command
 from fullswarm.cli.params import params_app
+from fullswarm.cli.record import record_app
 from fullswarm.cli.rehearse import rehearse
 from fullswarm.cli.results import results_app
 from fullswarm.cli.scenario import scenario_app
@@ -47,7 +48,7 @@ for command in (
     app.command()(command)
 for group, name in (
     (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
-    (audit_app, "audit"), (console_app, "console"),
+    (audit_app, "audit"), (console_app, "console"), (record_app, "record"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
 for group, name, text in (
@@ -185,6 +186,9 @@ def up(
     overrides: Overrides = None,
     network: Network = None,
     console: Annotated[bool, typer.Option("--console", help="Serve the web console too; print its address.")] = False,
+    record: Annotated[
+        Path | None, typer.Option(metavar="FILE.mcap", help="Record the whole run, as `fullswarm record start` does.")
+    ] = None,
     insecure_network: Insecure = False,
     reload: Reload = False,
 ) -> int:
@@ -194,7 +198,7 @@ def up(
     from fullswarm.simulation.starts import start_problems
 
     config = load_fleet(fleet, tuple(overrides or ()), here=True, check=start_problems)
-    return run(config, insecure_network, network, console=console, develop=_developed(reload, fleet))
+    return run(config, insecure_network, network, console=console, develop=_developed(reload, fleet), record=record)
 
 
 @app.command(rich_help_panel=START)

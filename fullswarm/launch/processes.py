@@ -92,7 +92,7 @@ def hub(endpoint: str, swarm: str, insecure_network: bool, with_parent: bool) ->
         progress(f"hub: listening at {endpoint}")
         if insecure_network and is_loopback(host_of(endpoint)):
             progress("only this machine reaches it; for others: --listen tcp/ADDRESS:7447, an address of this machine")
-        return _serve(runtime, [], with_parent)
+        return serve(runtime, [], with_parent)
 
 
 def hub_at(endpoint: str, swarm: str, insecure_network: bool) -> Hub:
@@ -145,7 +145,7 @@ def _secured_hub(runtime: Runtime, endpoint: str, swarm: str, with_parent: bool)
             progress(f"hub: listening at {endpoint}, for the valid certificates of swarm '{swarm}'")
             runtime.every(GRANTS_CHECK_S, follow)
             runtime.every(REPORT_S, refusals.report)
-            return _serve(runtime, [], with_parent)
+            return serve(runtime, [], with_parent)
     finally:
         refusals.close()
 
@@ -339,12 +339,12 @@ def serve_on_bus(
 
             renewal = renewal_node(shown, runtime, Keys(config.swarm), credentials)
             nodes += [] if renewal is None else [renewal]
-        return _serve(runtime, nodes, with_parent)
+        return serve(runtime, nodes, with_parent)
     finally:
         bus.close()
 
 
-def _serve(runtime: Runtime, nodes: Iterable[Node], with_parent: bool) -> int:
+def serve(runtime: Runtime, nodes: Iterable[Node], with_parent: bool) -> int:
     """Run until a signal or the parent's end; then close the nodes, the last one first."""
     runtime.stop_on_signals()
     if with_parent:

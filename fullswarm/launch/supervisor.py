@@ -58,7 +58,7 @@ SPARE_FIRST_S, SPARE_NEXT_S = 15.0, 5.0
 SPARE_LOG = "spare.process.log"
 """No process is called so: names have no dots."""
 FROZEN: Literal["frozen"] = "frozen"
-CONSOLE = "console"
+CONSOLE, RECORDER = "console", "recorder"
 FIXES = "fixes"
 """The process that publishes the poses of the fleet file's sources."""
 STORE = "core.db"
@@ -217,7 +217,7 @@ class Supervisor:
         if self._spare is not None:
             self._spare.close()
             self._spare = None
-        support = ("world", "centralised", "core", "hub")
+        support = (RECORDER, "world", "centralised", "core", "hub")
         rest = [self.children[name] for name in support if name in self.children]
         console = [self.children[name] for name in (CONSOLE,) if name in self.children]  # nothing needs it
         robots = [each for each in self.children.values() if each not in (*rest, *console)]

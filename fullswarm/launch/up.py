@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import signal
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch import reload
 from fullswarm.launch.network import with_network
 from fullswarm.launch.processes import usual_audit_folder
+from fullswarm.launch.spare import FLEET
 from fullswarm.launch.stopping import check_fleet
-from fullswarm.launch.supervisor import Supervisor
+from fullswarm.launch.supervisor import RECORDER, Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, missing_extra
 from fullswarm.output import INTERRUPTED, progress
 from fullswarm.runtime import Runtime
@@ -26,7 +28,7 @@ SETTLED_S = 1.0
 """A process with wrong settings has ended by then, and its complaint comes instead of the hint."""
 
 
-def _hint(config: SwarmConfig, folder: Path) -> str:
+def _hint(config: SwarmConfig, folder: Path, record: Path | None) -> str:
     usual = SwarmConfig()
     options = "" if config.hub == usual.hub else f" --hub {config.hub.endpoint}"
     options += "" if config.swarm == usual.swarm else f" --swarm {config.swarm}"
@@ -37,7 +39,27 @@ def _hint(config: SwarmConfig, folder: Path) -> str:
     away = sum(each.elsewhere for each in config.robot)
     others = f" ({away} with an agent on another computer)" if away else ""
     swarm = f"{robots} of swarm '{config.swarm}'{others}"
+    swarm += f", recorded to {record}" if record is not None else ""
     return f"{swarm}; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"
+
+
+def check_record(record: Path) -> None:
+    """Raise `MissingExtra` where nothing can be recorded, and `ConfigError` where the file cannot be made."""
+    if any(importlib.util.find_spec(each) is None for each in ("mcap", "foxglove")):
+        raise MissingExtra("recordings are not installed", hint="pip install 'fullswarm[record]'")
+    if record.exists():
+        raise ConfigError("this file is there already", where=str(record), hint="name another one with --record")
+    if not record.parent.is_dir():
+        raise ConfigError("there is no such folder", where=str(record.parent))
+
+
+def add_recorder(supervisor: Supervisor, record: Path) -> None:
+    """Have the supervisor's swarm recorded from its start to its end; before `Supervisor.start`."""
+    config = supervisor.config
+    supervisor.add(
+        RECORDER, "record", "start", "--out", str(record.absolute()), "--hub", config.hub.endpoint,
+        "--swarm", config.swarm, "--fleet", str(supervisor.folder / FLEET), guest=True,
+    )  # fmt: skip
 
 
 def run(
@@ -47,12 +69,14 @@ def run(
     *,
     console: bool = False,
     develop: Path | None = None,
+    record: Path | None = None,
 ) -> int:
     """Start the processes, start those again that die, end all in order on Ctrl-C or SIGTERM.
 
     Parameters
     ----------
     develop : folder of a package whose behaviours are loaded again when their files change
+    record : file for a recording of the whole run
 
     Raises
     ------
@@ -63,6 +87,8 @@ def run(
     """
     if console and (problem := missing_extra()):
         raise MissingExtra(problem, hint=INSTALL)
+    if record is not None:
+        check_record(record)
     if not config.robot:
         raise ConfigError("names no robot", where="the fleet file", hint="add [[robot]] tables or a [fleet] count")
     check_frames(config)
@@ -84,8 +110,10 @@ def run(
             reload.watch(develop, runtime)
         if console:
             WebConsole(supervisor, runtime, lambda address: progress(f"\nOpen {address}\n"), progress)
+        if record is not None:
+            add_recorder(supervisor, record)
         supervisor.start()
-        runtime.after(SETTLED_S, lambda: progress(_hint(config, supervisor.folder)))
+        runtime.after(SETTLED_S, lambda: progress(_hint(config, supervisor.folder, record)))
         runtime.run()
     finally:
         bus.close()  # while the hub is there: without it that takes longer

@@ -16,7 +16,7 @@ import zenoh
 
 from fullswarm import config
 from fullswarm.bus import LocalBus
-from fullswarm.bus.base import NamedBus, SenderBus
+from fullswarm.bus.base import Carried, NamedBus, SenderBus
 from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
@@ -128,6 +128,25 @@ def test_the_sender_arrives_beside_the_message(pair: Pair, latest: bool) -> None
         bus.publish(KEYS.heartbeat(f"n{number}"), beat(number), sender=sender)
     pair.until(lambda: len(seen) == 4)
     assert seen[:3] == [(0, "r1"), (1, ""), (2, "core")]
+
+
+def test_all_that_is_on_the_wire_can_be_had_unread(remote: tuple[ZenohBus, ZenohBus, Pair]) -> None:
+    publisher, subscriber, pair = remote
+    seen: list[Carried] = []
+    tap = subscriber.tap("test/heartbeat/*", seen.append)
+    pair.settle()
+    publisher.publish(KEYS.heartbeat("n1"), beat(1), sender="r1")
+    publisher.publish(KEYS.stop, StopRequest(id="s", source="me"))
+    publisher.publish(KEYS.heartbeat("n2"), beat(2))
+    pair.until(lambda: len(seen) == 2)
+    assert seen == [
+        Carried("test/heartbeat/n1", "r1", encode(beat(1))), Carried("test/heartbeat/n2", "", encode(beat(2)))
+    ]  # fmt: skip
+    tap.close()
+    publisher.publish(KEYS.heartbeat("n1"), beat(3))
+    pair.settle()
+    assert len(seen) == 2
+    tap.close()
 
 
 def test_the_sender_is_the_chunk_of_the_key_after_the_swarms(remote: tuple[ZenohBus, ZenohBus, Pair], hub: str) -> None:

@@ -35,6 +35,7 @@ DOERS = {
         "study run",
     ),  # move, or wait for, people
     *("keys issue", "keys renew", "keys revoke", "console tokens add", "console tokens revoke"),
+    *("record start", "record stop", "record repair"),
     *("signing root", "signing rotate", "signing revoke"),  # make and withdraw keys
     *(
         "experiment replay",

@@ -1,0 +1,133 @@
+"""`fullswarm record`: records live swarms as MCAP files, says what a file holds, repairs one that was cut off."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fullswarm import output
+from fullswarm.cli.options import Json, Swarm, shell_command
+from fullswarm.errors import MissingExtra
+
+if TYPE_CHECKING:
+    from fullswarm.cli.options import Target
+    from fullswarm.record.reading import Contents
+
+record_app = typer.Typer(
+    help="Record live swarms as MCAP files, for Foxglove, Lichtblick, Rerun and your own scripts.",
+    no_args_is_help=True,
+)
+File = Annotated[Path, typer.Argument(metavar="FILE.mcap", help="The recording.")]
+
+
+@record_app.command()
+@shell_command(logs=True)
+def start(
+    target: Target,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mcap", help="A new file (default: SWARM-DATE-TIME.mcap in this folder)."),
+    ] = None,
+    fleet: Annotated[
+        Path | None, typer.Option(metavar="FLEET.toml", help="Have the fleet file in the recording, too.")
+    ] = None,
+    limit_mb: Annotated[
+        float, typer.Option(metavar="MB", min=0, help="Begin a new file from this size on; 0: never.")
+    ] = 500.0,
+    keep: Annotated[int, typer.Option(metavar="N", min=0, help="Keep the newest N of these files; 0: all.")] = 0,
+    with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
+) -> int:
+    """Record every message of a live swarm until Ctrl-C."""
+    _check()
+    from fullswarm.record.session import start as run
+
+    return run(target, out, fleet, limit_mb, keep, with_parent)
+
+
+@record_app.command()
+@shell_command()
+def stop(swarm: Swarm = "swarm") -> int:
+    """End the recordings of a swarm that run on this computer."""
+    _check()
+    from fullswarm.record.session import stop as run
+
+    return run(swarm)
+
+
+@record_app.command()
+@shell_command()
+def info(file: File, as_json: Json = False) -> int:
+    """Say what a recording holds; exit code 1: it was cut off, see `repair`."""
+    _check()
+    from fullswarm.record.reading import contents
+
+    found = contents(file)
+    if as_json:
+        output.data_json(_as_json(found))
+    else:
+        _print(found)
+    return 0 if found.whole else 1
+
+
+@record_app.command()
+@shell_command()
+def repair(
+    file: File,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.mcap", help="The new file (default: FILE.repaired.mcap).")
+    ] = None,
+) -> int:
+    """Write what can be read of a recording that was cut off into a new file, with its index."""
+    _check()
+    from fullswarm.record.reading import repair as run
+
+    target = out or file.with_name(f"{file.stem}.repaired{file.suffix}")
+    found = run(file, target)
+    output.progress(f"{target}: {found.messages} messages of {found.seconds:.1f} s")
+    return 0
+
+
+def _check() -> None:
+    """Raise `MissingExtra` where recordings can neither be written nor read."""
+    import importlib.util
+
+    if importlib.util.find_spec("mcap") is None or importlib.util.find_spec("foxglove") is None:
+        raise MissingExtra("recordings are not installed", hint="pip install 'fullswarm[record]'")
+
+
+def _as_json(found: Contents) -> dict[str, object]:
+    return {
+        "file": str(found.path), "whole": found.whole, "bytes": found.bytes, "messages": found.messages,
+        "seconds": round(found.seconds, 3), "start": _when(found.first_ns), "about": found.about,
+        "attachments": found.attachments,
+        "topics": [
+            {"topic": topic, "schema": schema, "messages": count}
+            for (topic, schema), count in sorted(found.topics.items())
+        ],
+    }  # fmt: skip
+
+
+def _when(time_ns: int) -> str:
+    return datetime.fromtimestamp(1e-9 * time_ns).astimezone().isoformat(timespec="seconds") if time_ns else ""
+
+
+def _print(found: Contents) -> None:
+    about = found.about.get("fullswarm", {})
+    output.data(f"swarm {about.get('swarm', '?')}, recorded by fullswarm {about.get('version', '?')}")
+    output.data(
+        f"from {_when(found.first_ns)}, {found.seconds:.1f} s, {found.messages} messages, {found.bytes / 1e6:.1f} MB"
+    )
+    if found.attachments:
+        output.data("with " + ", ".join(sorted(found.attachments)))
+    lost = {name: count for name, count in found.about.get("fullswarm.end", {}).items() if count != "0"}
+    if lost:
+        output.data("not recorded: " + ", ".join(f"{count} {name}" for name, count in lost.items()))
+    table = output.plain_table("topic", "schema", "messages", numbers=("messages",))
+    for (topic, schema), count in sorted(found.topics.items()):
+        table.add_row(topic, schema, str(count))
+    output.data_table(table, into_file=120)
+    if not found.whole:
+        output.progress(f"it was cut off; `fullswarm record repair {found.path}` makes a whole file of it")

@@ -1,0 +1,196 @@
+"""Records a live swarm: every message that an observer may receive, and the logs of its processes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+
+from fullswarm.bus.base import Carried, Subscription
+from fullswarm.bus.codec import decode
+from fullswarm.errors import MessageError
+from fullswarm.identity.access import TOPICS, Topic
+from fullswarm.keys import Keys
+from fullswarm.messages import CameraPicture, Message
+from fullswarm.record.recording import Recording, Schema
+from fullswarm.record.scene import Drawn, Scene, log_line
+from fullswarm.runtime import Scheduler
+
+FLUSH_S = 0.25
+"""A kill loses at most what came since the last flush."""
+SCENE_EVERY = 4
+"""Flushes from one whole scene to the next."""
+LONGEST_LINE = 2000
+LOG_BYTES = 65_536
+"""Of one log at one flush, at most: a process that floods its log must not delay the recording."""
+
+
+class TapBus(Protocol):
+    """A bus whose messages can be had unread; see :meth:`fullswarm.bus.zenoh_bus.ZenohBus.tap`."""
+
+    def tap(self, expression: str, handler: Callable[[Carried], None]) -> Subscription:
+        """Have `handler` called with each message on a matching key."""
+        ...
+
+
+class Recorder:
+    """Writes what it receives into a recording, which it owns from here on.
+
+    Parameters
+    ----------
+    start_ns : nanoseconds since 1970 now
+    dropped : how many messages the mailbox has dropped so far
+    logs : folder of the processes' logs, if they run on this machine
+    on_failure : called once when nothing can be written any more, with the reason
+
+    Attributes
+    ----------
+    strange : messages that were none of ours
+    failed : it could not write all
+    """
+
+    def __init__(
+        self,
+        bus: TapBus,
+        keys: Keys,
+        scheduler: Scheduler,
+        recording: Recording,
+        start_ns: int,
+        dropped: Callable[[], int],
+        logs: Path | None = None,
+        on_failure: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._swarm, self._scheduler, self._recording = keys.swarm, scheduler, recording
+        self._start_ns, self._start_s = start_ns, scheduler.now_s()
+        self._dropped, self._on_failure = dropped, on_failure
+        self._scene, self._logs = Scene(), LogTail(logs)
+        self._schemas = {kind: _schema(kind) for topic in TOPICS for kind in topic.messages}
+        self.strange, self.failed, self._flushes, self._open = 0, False, 0, True
+        self._taps = [
+            bus.tap(f"{self._swarm}/{topic.expression()}", _handler(self._take, topic))
+            for topic in TOPICS
+            if "observer" in topic.receive
+        ]
+        self._timer = scheduler.every(FLUSH_S, self._flush)
+
+    def _now_ns(self) -> int:
+        return self._start_ns + round(1e9 * (self._scheduler.now_s() - self._start_s))
+
+    def _take(self, topic: Topic, carried: Carried) -> None:
+        if not self._open:
+            return
+        message = _read(topic, carried.data)
+        if message is None:
+            self.strange += 1
+            return
+        time_ns = self._now_ns()
+        if not isinstance(message, CameraPicture):  # a picture is recorded once, as viewers show it
+            name = "/" + carried.key.partition("/")[2]
+            data = msgspec.json.encode(message)
+            self._recording.write(name, carried.sender, self._schemas[type(message)], time_ns, data)
+        for drawn in self._scene.take(message, self._scheduler.now_s(), time_ns):
+            self._draw(drawn, time_ns)
+
+    def _draw(self, drawn: Drawn, time_ns: int) -> None:
+        self._recording.write(drawn.topic, "", drawn.schema, time_ns, drawn.data)
+
+    def _flush(self) -> None:
+        if not self._open:
+            return
+        now_ns = self._now_ns()
+        try:
+            for process, line in self._logs.read():
+                self._draw(log_line(process, line, now_ns), now_ns)
+            if self._flushes % SCENE_EVERY == 0:
+                self._draw(self._scene.whole(self._scheduler.now_s(), now_ns), now_ns)
+            self._flushes += 1
+            self._recording.flush()
+        except OSError as error:
+            self._open, self.failed = False, True
+            self._on_failure(f"the recording ends here: {error.strerror or error}")
+
+    def close(self) -> None:
+        """Write the rest and close the recording. Closing twice is fine."""
+        self._timer.cancel()
+        for tap in self._taps:
+            tap.close()
+        self._flush()
+        if self._open:
+            self._open = False
+            counts = {"dropped": self._dropped(), "strange": self.strange, "refused": self._recording.refused}
+            try:
+                self._recording.note("end", {name: str(count) for name, count in counts.items()})
+                self._recording.close()
+            except OSError as error:
+                self.failed = True
+                self._on_failure(f"the end of the recording is missing: {error.strerror or error}")
+
+
+class LogTail:
+    """Reads what the logs in a folder get, line by line, from where they end now."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._read: dict[Path, int] = {path: path.stat().st_size for path in self._paths()}
+
+    def _paths(self) -> list[Path]:
+        return [] if self._folder is None else sorted(self._folder.glob("*.log"))
+
+    def read(self) -> list[tuple[str, str]]:
+        """Return (process, line) of whole lines that are new."""
+        found: list[tuple[str, str]] = []
+        for path in self._paths():
+            start = self._read.get(path, 0)
+            try:
+                size = path.stat().st_size
+                if size == start:
+                    continue
+                with path.open("rb") as file:
+                    file.seek(start if size > start else 0)  # it began anew
+                    start = file.tell()
+                    data = file.read(LOG_BYTES)
+            except OSError:
+                continue  # moved aside just now
+            text, end, _ = data.rpartition(b"\n")
+            too_long = not end and len(data) == LOG_BYTES
+            self._read[path] = start + (LOG_BYTES if too_long else len(text) + len(end))
+            lines = text.decode(errors="replace").splitlines()
+            found += [(path.stem, line[:LONGEST_LINE]) for line in lines if line.strip()]
+        return found
+
+
+def _handler(take: Callable[[Topic, Carried], None], topic: Topic) -> Callable[[Carried], None]:
+    return lambda carried: take(topic, carried)
+
+
+def _read(topic: Topic, data: bytes) -> Message | None:
+    """Return a message of one of the topic's types; None: it is none."""
+    for kind in topic.messages:
+        try:
+            return decode(data, kind)
+        except MessageError:
+            continue
+    return None
+
+
+def _schema(kind: type[Message]) -> Schema:
+    """Return the JSON Schema of a message as an object at the top, as viewers want it."""
+    found = msgspec.json.schema(kind, schema_hook=lambda _: {"description": "any value"})
+    definitions = found["$defs"]
+    name = found["$ref"].rpartition("/")[2]
+    own = definitions.pop(name)
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **own, "$defs": definitions}
+    text = json.dumps(_with_null(schema))
+    return Schema(f"fullswarm.{kind.__struct_config__.tag}", "jsonschema", text.encode(), "json")
+
+
+def _with_null(schema: Any) -> Any:
+    """Return a schema in which a number without bounds may be null, as JSON has no NaN and no infinity."""
+    if isinstance(schema, dict):
+        if schema.get("type") == "number" and not {"minimum", "maximum", "exclusiveMinimum"} & schema.keys():
+            return {**schema, "type": ["number", "null"]}
+        return {name: _with_null(each) for name, each in schema.items()}
+    return [_with_null(each) for each in schema] if isinstance(schema, list) else schema

@@ -1,0 +1,189 @@
+"""`fullswarm record start` and `stop`: one recording of a live swarm, which other commands of this user find."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import platform
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import IO
+
+import structlog
+
+from fullswarm.bus.endpoint import credentials_at
+from fullswarm.bus.renewal import renew_later
+from fullswarm.bus.zenoh_bus import ZenohBus
+from fullswarm.clock import MonotonicClock, wall_time_s
+from fullswarm.config import DEFAULT_HUB
+from fullswarm.errors import ConfigError
+from fullswarm.keys import Keys
+from fullswarm.launch.processes import RUN, serve, state_folder
+from fullswarm.operator.session import CONNECT_S, Target
+from fullswarm.output import progress
+from fullswarm.record.recorder import Recorder
+from fullswarm.record.recording import Attachment, Recording
+from fullswarm.runtime import Mailbox, Runtime
+
+log = structlog.get_logger()
+NAME = "recorder"
+"""Of its certificate, where the hub is secured; its role is ``observer``, which can send nothing."""
+MB = 1_000_000
+HUB_UP_S = 60.0
+"""A recorder that is started together with the hub waits for it so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A recording that runs on this computer: the process, the swarm, the file."""
+
+    pid: int
+    swarm: str
+    file: str
+
+
+def start(
+    target: Target,
+    out: Path | None,
+    fleet: Path | None,
+    limit_mb: float,
+    keep: int,
+    with_parent: bool,
+) -> int:
+    """Record until Ctrl-C, SIGTERM, `stop` or the parent's end.
+
+    Parameters
+    ----------
+    out : the file; None: named by swarm and time of day, in the working folder
+    fleet : goes into the file, if it is given
+    limit_mb, keep : size from which on a new file is begun, and how many of them are kept; 0: no limit
+
+    Raises
+    ------
+    ConfigError
+        The file is there already or cannot be written, or the fleet file cannot be read.
+    Unreachable
+        No hub answers.
+    """
+    runtime = Runtime(MonotonicClock(), Mailbox())
+    attachments = [] if fleet is None else [_attached(fleet)]
+    hub = target.hub or DEFAULT_HUB
+    credentials = credentials_at(hub, target.swarm, NAME, "observer")
+    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
+    try:
+        bus.wait_connected(HUB_UP_S if with_parent else CONNECT_S)
+        renew_later(bus, runtime, Keys(target.swarm), credentials)
+        began_s = wall_time_s()
+        path = out or Path(f"{target.swarm}-{datetime.fromtimestamp(began_s).astimezone():%Y%m%d-%H%M%S}.mcap")
+        path = _free(path) if with_parent else path  # after a crash the recording goes on in another file
+        recording = Recording(path, _about(target.swarm), attachments, round(limit_mb * MB), keep)
+        run = os.environ.get(RUN, "") if with_parent else ""
+        recorder = Recorder(
+            bus,
+            Keys(target.swarm),
+            runtime,
+            recording,
+            round(1e9 * began_s),
+            lambda: sum(runtime.mailbox.dropped.values()),
+            Path(run) if run else None,
+            lambda problem: _fail(problem, path, runtime),
+        )
+        if not with_parent:
+            progress(f"recording swarm '{target.swarm}' to {path}; Ctrl-C or `fullswarm record stop` ends it")
+        with _announced(Running(os.getpid(), target.swarm, str(path.absolute()))):
+            serve(runtime, [recorder], with_parent)
+    finally:
+        bus.close()
+    took_s = wall_time_s() - began_s
+    size = sum(each.stat().st_size for each in recording.files if each.exists()) / MB
+    progress(f"{path}: {recording.messages} messages in {took_s:.0f} s, {size:.1f} MB")
+    return 1 if recorder.failed else 0
+
+
+def stop(swarm: str) -> int:
+    """End the recordings of a swarm that run on this computer, as Ctrl-C would.
+
+    Raises
+    ------
+    ConfigError
+        There is none.
+    """
+    found = [each for each in running() if each.swarm == swarm]
+    if not found:
+        raise ConfigError(f"no recording of swarm '{swarm}' runs on this computer", hint="see --swarm")
+    for each in found:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(each.pid, signal.SIGINT)
+        progress(f"ends: {each.file}")
+    return 0
+
+
+def running() -> Iterator[Running]:
+    """Yield the recordings of this user that run here; forget those whose process has died."""
+    for path in sorted(_folder().glob("*.json")):
+        with contextlib.suppress(OSError, ValueError, TypeError), path.open("r+b") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:  # its recorder holds the lock as long as it lives
+                yield Running(**json.loads(file.read()))
+            else:
+                path.unlink(missing_ok=True)
+
+
+@contextmanager
+def _announced(found: Running) -> Iterator[None]:
+    """Have `running` find this recording while it lasts."""
+    folder, file = _folder(), None
+    path = folder / f"{found.pid}.json"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = path.open("w+b")
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _write(file, found)
+    except OSError as error:
+        log.warning("`fullswarm record stop` will not find this recording", reason=str(error))
+    try:
+        yield
+    finally:
+        if file is not None:
+            path.unlink(missing_ok=True)
+            file.close()
+
+
+def _write(file: IO[bytes], found: Running) -> None:
+    file.write(json.dumps({"pid": found.pid, "swarm": found.swarm, "file": found.file}).encode())
+    file.flush()
+
+
+def _folder() -> Path:
+    return state_folder() / "recordings"
+
+
+def _free(path: Path) -> Path:
+    """Return `path`, or one with the first number that is not taken."""
+    number, found = 2, path
+    while found.exists():
+        found, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
+    return found
+
+
+def _attached(fleet: Path) -> Attachment:
+    try:
+        return Attachment("fleet.toml", "application/toml", fleet.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", where=str(fleet)) from None
+
+
+def _about(swarm: str) -> dict[str, str]:
+    return {"swarm": swarm, "python": platform.python_version(), "system": f"{platform.system()} {platform.machine()}"}
+
+
+def _fail(problem: str, path: Path, runtime: Runtime) -> None:
+    progress(f"error: {path}: {problem}")
+    runtime.stop()
