@@ -110,6 +110,7 @@ class Recorder:
             self._recording.flush()
         except OSError as error:
             self._open, self.failed = False, True
+            self._recording.abandon()
             self._on_failure(f"the recording ends here: {error.strerror or error}")
 
     def close(self) -> None:
@@ -126,6 +127,7 @@ class Recorder:
                 self._recording.close()
             except OSError as error:
                 self.failed = True
+                self._recording.abandon()
                 self._on_failure(f"the end of the recording is missing: {error.strerror or error}")
 
 

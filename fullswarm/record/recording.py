@@ -5,6 +5,7 @@ A recording is one file, or several if it grows: ``run.mcap``, ``run.2.mcap``, â
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -132,6 +133,13 @@ class Recording:
         """Write the index and close. Closing twice is fine. Raises `OSError` as `flush` does."""
         if self._writer is not None:
             self._end()
+
+    def abandon(self) -> None:
+        """Close the file as it is, without its index."""
+        stream, self._writer, self._stream = self._stream, None, None
+        if stream is not None:
+            with contextlib.suppress(OSError):
+                stream.close()
 
     def _add_channel(self, topic: str, sender: str, schema: Schema) -> int:
         assert self._writer is not None  # noqa: S101  (as in `write`)
