@@ -19,6 +19,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Mapping
 
 
@@ -118,3 +119,18 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     if near:
         return f"did you mean '{near}'?"
     return f"known: {', '.join(choices)}" if choices else "none is known yet"
+
+
+_NESTED = re.compile(r"[?&][A-Za-z_]*=[A-Za-z+.]*://")
+
+
+def without_login(url: str) -> str:
+    """Return a URL for messages: user and password before an ``@`` are hidden, also in a URL among its options.
+
+    Everything up to the last ``@`` is hidden, whatever characters a password has: nothing is parsed that may be wrong.
+    """
+    scheme, end = url.find("://"), url.rfind("@")
+    if not 0 <= scheme < end:
+        return url
+    nested = _NESTED.search(url, scheme, end)
+    return f"{url[: nested.end() if nested else scheme + 3]}***{url[end:]}"

@@ -15,7 +15,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from fullswarm.errors import ConfigError, did_you_mean, nearest
+from fullswarm.errors import ConfigError, did_you_mean, nearest, without_login
 from fullswarm.units import unit_of
 
 KeyPath = tuple[str | int, ...]
@@ -94,6 +94,8 @@ def _text(error: ErrorDetails) -> str:
 def _not(given: object) -> str:
     if isinstance(given, bool):
         return f", not {str(given).lower()}"
+    if isinstance(given, str):
+        given = without_login(given)
     return f", not {given!r}" if isinstance(given, int | float | str) else ""
 
 
