@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Protocol, TypeVar
 
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, without_login
 from fullswarm.localization.publisher import FixPublisher, Names
 from fullswarm.localization.sighting import Body, Convention, Frame, Ranging, Refused, Sighting
 from fullswarm.runtime import Mailbox, Scheduler
@@ -34,8 +34,15 @@ class Trouble:
     text: str
 
 
+@dataclass(frozen=True, slots=True)
+class Limited:
+    """Why the poses of a source are worse than they could be, for people; empty: that is over."""
+
+    text: str
+
+
 Content = Frame | bytes | Refused
-Seen = Sighting | Ranging | Refused | Trouble
+Seen = Sighting | Ranging | Refused | Trouble | Limited
 Arrival = tuple[float, str, Content]
 """Arrival on this machine's clock, the sender's address, content."""
 
@@ -102,7 +109,7 @@ class Recorder:
         self._began_s: float | None = None
         self.frames = 0
         axes = "y-up" if convention.y_up else "z-up"
-        self._line({"fullswarm_fixes": 1, "source": url, "axes": axes, "unit_m": convention.unit_m})
+        self._line({"fullswarm_fixes": 1, "source": without_login(url), "axes": axes, "unit_m": convention.unit_m})
 
     def write(self, arrival_s: float, content: Content) -> None:
         """Write one arrival."""
@@ -171,7 +178,7 @@ class SourceNode:
         self._anchors, self._recorder = anchors or Anchors(), recorder
         self._scheduler, self._mailbox = scheduler, mailbox
         self._waiting: deque[Arrival] = deque(maxlen=WAITING)
-        self._link_trouble, self._own_trouble = "", ""
+        self._link_trouble = self._own_trouble = self._limit = ""
         self._last_s = scheduler.now_s()
         self._timer = scheduler.every(CHECK_S, self._check)
 
@@ -212,11 +219,15 @@ class SourceNode:
         if isinstance(seen, Trouble):
             self._own_trouble = seen.text[:MAX_PROBLEM]
             self._check()
+        elif isinstance(seen, Limited):
+            self._limit = seen.text[:MAX_PROBLEM]
+            self._check()
         elif self._publisher is None:
             return
         elif isinstance(seen, Refused):
             self._publisher.refuse(seen, sender)
         elif isinstance(seen, Sighting):
+            self._own_trouble = ""
             self._publisher.publish(seen, arrival_s, sender)
         else:
             self._take_range(self._publisher, seen, arrival_s, sender)
@@ -241,12 +252,12 @@ class SourceNode:
 
     @property
     def problem(self) -> str:
-        """Why the source gives no pose now; empty: it gives poses."""
+        """Why the source gives no pose now, or worse ones than it could; empty: it gives poses."""
         if self._link_trouble:
             return self._link_trouble
         if self._scheduler.now_s() - self._last_s > SILENT_S:
             return f"nothing arrives from {self._source.address}: {self._source.hint}"
-        return self._own_trouble
+        return "; ".join(each for each in (self._own_trouble, self._limit) if each)
 
     def start(self) -> None:
         """Have the source deliver."""
