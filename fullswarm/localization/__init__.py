@@ -13,6 +13,9 @@
 ``libmotioncapture.py``  Vicon and others through the package `motioncapture`
 ``libmotioncapture_worker.py``  its process
 ``gnss.py``              GNSS receivers: NMEA and UBX
+``corrections.py``       RTK corrections for a receiver: where they come from, and the link
+``ntrip.py``             NTRIP, the protocol of casters; no I/O
+``rtcm.py``              RTCM 3 frames, and what waits to be sent to the receiver; no I/O
 ``uwb.py``               distances to radio anchors
 ``camera/``              `fullswarm track`: cameras that see tags on the robots
 """

@@ -2,7 +2,8 @@
 
 The messages are parsed by `pynmeagps` and `pyubx2`. Positions come from UBX NAV-HPPOSLLH or NAV-PVT, else from NMEA GGA
 with the errors of GST; headings of receivers with two antennas from UBX NAV-RELPOSNED, else from NMEA HDT or THS. A
-receiver with one antenna gives no heading: the pose filter finds it as the robot drives.
+receiver with one antenna gives no heading: the pose filter finds it as the robot drives. Corrections (`corrections.py`)
+are written to the receiver's own port.
 """
 
 from __future__ import annotations
@@ -11,16 +12,20 @@ import importlib.util
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import unquote_plus
 
 from fullswarm.clock import Clock
 from fullswarm.earth import TangentPlane
 from fullswarm.errors import ConfigError, MissingExtra, did_you_mean
 from fullswarm.geometry import wrap
-from fullswarm.localization.links import byte_link
+from fullswarm.localization.corrections import EXAMPLE, CorrectionFeed, options_of, take_corrections
+from fullswarm.localization.links import SerialStream, byte_link
+from fullswarm.localization.ntrip import Place
+from fullswarm.localization.rtcm import Outbox
 from fullswarm.localization.sighting import UNSEEN_RAD, Refused, Sighting
-from fullswarm.localization.source import Receiver, Seen, Settings, Trouble
+from fullswarm.localization.source import Limited, Receiver, Seen, Settings, Trouble
 
 DAY_S, WEEK_S = 86_400.0, 604_800.0
 KEPT_S = 1.5
@@ -96,6 +101,10 @@ class Decoder:
     Parameters
     ----------
     robot : whose receiver it is
+
+    Attributes
+    ----------
+    place : where the receiver was last, however uncertain; None: it has not had a position yet
     """
 
     def __init__(self, robot: str, plane: TangentPlane, mount: Mount) -> None:
@@ -106,6 +115,7 @@ class Decoder:
         self._carrier: tuple[int, float] = (DIFFERENTIAL, -math.inf)  # of NAV-PVT, and its time
         self._ubx_s = self._precise_s = -math.inf
         self._last_s, self._turns = -math.inf, 0
+        self.place: Place | None = None
         self._handlers: dict[str, Callable[[Any], Iterable[Seen]]] = {
             "NAV-PVT": self._nav_pvt, "NAV-HPPOSLLH": self._nav_hpposllh, "NAV-RELPOSNED": self._nav_relposned,
             "GGA": self._gga, "GST": self._gst, "HDT": self._hdt, "THS": self._ths,
@@ -146,6 +156,10 @@ class Decoder:
             yield Trouble("the GNSS receiver has no position: can its antenna see the sky?")
             return
         self._carrier = (int(pvt.carrSoln), now_s)
+        self._note_place(
+            3600.0 * pvt.hour + 60.0 * pvt.min + pvt.second, (pvt.lat, pvt.lon), pvt.hMSL / 1000.0,
+            (pvt.height - pvt.hMSL) / 1000.0, self._quality(), pvt.numSV, pvt.pDOP,
+        )  # fmt: skip
         if now_s - self._precise_s > KEPT_S:
             yield self._position(pvt.lat, pvt.lon, (pvt.hAcc / 1000.0,), self._quality(), now_s)
 
@@ -190,6 +204,10 @@ class Decoder:
             yield Trouble(f"the GNSS receiver has no measured position ({why}): can its antenna see the sky?")
             return
         now_s = self._day(place.time)
+        self._note_place(
+            now_s % DAY_S, (place.lat, place.lon), place.alt or 0.0, place.sep or 0.0, quality, place.numSV or 0,
+            place.HDOP or 1.0,
+        )  # fmt: skip
         if self._errors is not None and abs(now_s - self._errors[2]) < KEPT_S:
             sigmas_m: tuple[float, ...] = self._errors[:2]
         else:
@@ -197,6 +215,20 @@ class Decoder:
         yield self._position(place.lat, place.lon, sigmas_m, quality, now_s)
 
     # ------------------------------------------------------------------ both
+    def _note_place(
+        self, day_s: float, at_deg: tuple[float, float], height_m: float, separation_m: float, quality: int,
+        satellites: int, dop: float,
+    ) -> None:  # fmt: skip
+        """Keep where the receiver is, if that can be said in a sentence GGA."""
+        latitude_deg, longitude_deg = float(at_deg[0]), float(at_deg[1])
+        height_m, separation_m, dop = float(height_m), float(separation_m), float(dop)
+        if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0):
+            return
+        if abs(height_m) < 1.0e5 and abs(separation_m) < 1.0e3 and 0.0 <= dop < 1.0e3 and 0.0 <= day_s < 2.0 * DAY_S:
+            self.place = Place(
+                day_s, latitude_deg, longitude_deg, height_m, separation_m, quality, min(int(satellites), 99), dop
+            )
+
     def _position(
         self, latitude_deg: float, longitude_deg: float, sigmas_m: tuple[float, ...], quality: int, now_s: float
     ) -> Seen:
@@ -247,10 +279,11 @@ class Decoder:
 def mount_of(options: dict[str, str], where: str) -> Mount:
     """Return the mount of a URL's options; raises `ConfigError`."""
     known = {"forward": "forward_m", "left": "left_m", "baseline_deg": "", "worst_m": "worst_m"}
+    others = ("baud", "rtcm", "login")
     values: dict[str, float] = {}
     for key, text in options.items():
         if key not in known:
-            raise ConfigError(f"unknown option '{key}'", where=where, hint=did_you_mean(key, (*known, "baud")))
+            raise ConfigError(f"unknown option '{key}'", where=where, hint=did_you_mean(key, (*known, *others)))
         try:
             value = float(text)
         except ValueError:
@@ -267,7 +300,8 @@ def mount_of(options: dict[str, str], where: str) -> Mount:
 class GnssSource:
     """``gnss:///dev/ttyACM0[?baud=38400]``, ``gnss+tcp://HOST:PORT``, ``gnss+udp://HOST:PORT``, ``gnss+file:///PATH``.
 
-    Further options of the URL: ``forward``, ``left`` (m), ``baseline_deg``, ``worst_m``; see :class:`Mount`.
+    Further options of the URL: ``forward``, ``left`` (m), ``baseline_deg``, ``worst_m``, see :class:`Mount`; ``rtcm``
+    and ``login``, see :mod:`fullswarm.localization.corrections`.
 
     Raises
     ------
@@ -281,7 +315,11 @@ class GnssSource:
     hint = "is the receiver on, is the baud rate right, does it send NMEA GGA or UBX NAV-PVT?"
 
     def __init__(self, settings: Settings, clock: Clock) -> None:
-        where = f"source {settings.url}"
+        device = settings.url.partition("?")[0]
+        if "rtcm=" in device or "login=" in device:
+            hint = f"gnss:///dev/ttyACM0?{EXAMPLE}"
+            raise ConfigError("options without '?' before them", where="source gnss", hint=hint)
+        where = f"source {device}"  # options may have a password
         if missing := [each for each in PYTHON if importlib.util.find_spec(each) is None]:
             raise MissingExtra(f"`{missing[0]}` is not installed", hint="pip install 'fullswarm[gnss]'")
         if not settings.robot:
@@ -289,19 +327,41 @@ class GnssSource:
         if settings.origin_deg is None:
             hint = "[world] origin = [latitude, longitude] in the fleet file"
             raise ConfigError("where on earth the swarm's (0, 0) is, is not stated", where=where, hint=hint)
-        options = dict(parse_qsl(urlsplit(settings.url).query))
+        options = options_of(settings.url)
+        corrections = take_corrections(options, where)
+        options = {key: unquote_plus(value) for key, value in options.items()}
         baud = options.pop("baud", "38400")
         self._decoder = Decoder(settings.robot, TangentPlane(*settings.origin_deg), mount_of(options, where))
-        self._link, self.address = byte_link(settings.url, baud, clock, insecure_network=settings.insecure_network)
+        self._clock, self._limit, outbox = clock, "", Outbox()
+        if corrections is not None and device.startswith(("gnss+udp:", "gnss+file:")):
+            hint = "gnss:///dev/ttyACM0 or gnss+tcp://HOST:PORT"
+            raise ConfigError("corrections cannot be sent to this receiver", where=where, hint=hint)
+        self._link, self.address = byte_link(
+            device, baud, clock, insecure_network=settings.insecure_network,
+            serial=partial(SerialStream, outbox=outbox), outbox=outbox,
+        )  # fmt: skip
+        self._feed = None if corrections is None else CorrectionFeed(corrections, outbox, self._place, clock)
+
+    def _place(self) -> Place | None:
+        return self._decoder.place
 
     def start(self, receiver: Receiver) -> None:
         """Deliver to `receiver` from now on."""
         self._link.start(receiver)
+        if self._feed is not None:
+            self._feed.start()
 
     def read(self, content: bytes) -> Iterable[Seen]:
-        """Read on."""
-        return self._decoder.read(content)
+        """Read on; say as well what the corrections lack."""
+        found = self._decoder.read(content)
+        limit = "" if self._feed is None else self._feed.trouble(self._clock.now_s())
+        if limit != self._limit:
+            self._limit = limit
+            found.append(Limited(limit))
+        return found
 
     def close(self) -> None:
         """Stop delivering."""
+        if self._feed is not None:
+            self._feed.close()
         self._link.close()

@@ -15,7 +15,8 @@ from urllib.parse import urlsplit
 from fullswarm.bus.endpoint import is_loopback
 from fullswarm.clock import Clock
 from fullswarm.drivers.ports import SerialPort
-from fullswarm.errors import ConfigError, DriverError
+from fullswarm.errors import ConfigError, DriverError, without_login
+from fullswarm.localization.rtcm import Outbox
 from fullswarm.localization.sighting import Frame, Refused
 from fullswarm.localization.source import Receiver, Seen
 
@@ -65,10 +66,21 @@ class Link:
     ----------
     connect : opens it; `OSError` or `DriverError`: it cannot now, try again later
     address : for messages
+    lost : what a message about a lost connection begins with
+    retry_s : time until the next attempt, asked for after each one
     """
 
-    def __init__(self, connect: Callable[[], Connection], address: str, clock: Clock) -> None:
-        self._connect, self._address, self._clock = connect, address, clock
+    def __init__(
+        self,
+        connect: Callable[[], Connection],
+        address: str,
+        clock: Clock,
+        *,
+        lost: str = "no connection to ",
+        retry_s: Callable[[], float] = lambda: RETRY_S,
+    ) -> None:
+        self._connect, self._lost, self._clock = connect, f"{lost}{address}", clock
+        self._retry_s = retry_s
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -84,8 +96,8 @@ class Link:
                     receiver.report("")
                     self._serve(connection, receiver)
             except (OSError, DriverError) as error:
-                receiver.report(f"no connection to {self._address}: {_reason(error)}")
-            self._closing.wait(RETRY_S)
+                receiver.report(f"{self._lost}: {_reason(error)}")
+            self._closing.wait(self._retry_s())
 
     def _serve(self, connection: Connection, receiver: Receiver) -> None:
         while not self._closing.is_set():
@@ -96,11 +108,11 @@ class Link:
                 for sender, content in connection.read(each, now_s):
                     receiver.arrive(now_s, sender, content)
 
-    def close(self) -> None:
-        """Stop delivering."""
+    def close(self, wait_s: float | None = None) -> None:
+        """Stop delivering; wait for the thread, at most `wait_s`: looking a host up cannot be interrupted."""
         self._closing.set()
         if self._thread is not None:
-            self._thread.join()
+            self._thread.join(wait_s)
 
 
 class FrameSource:
@@ -136,10 +148,17 @@ def _reason(error: Exception) -> str:
 
 
 class ByteStream(Connection):
-    """A TCP connection, read as bytes."""
+    """A TCP connection, read as bytes.
 
-    def __init__(self, host: str, port: int) -> None:
-        self._sender = host
+    Parameters
+    ----------
+    outbox : what is to be sent there; what waited before it is opened is too old
+    """
+
+    def __init__(self, host: str, port: int, outbox: Outbox | None = None) -> None:
+        self._sender, self._outbox = host, outbox
+        if outbox is not None:
+            outbox.clear()
         self._socket = socket.create_connection((host, port), CONNECT_S)
         self._socket.setblocking(False)
 
@@ -155,16 +174,35 @@ class ByteStream(Connection):
             raise ConnectionResetError("the other side has closed the connection")
         return ((self._sender, data),)
 
+    def turn(self, now_s: float) -> None:
+        """Send what waits."""
+        del now_s
+        if self._outbox is not None:
+            self._outbox.send(self._write)
+
+    def _write(self, data: bytes) -> bytes | None:
+        with contextlib.suppress(BlockingIOError):
+            data = data[self._socket.send(data) :]
+        return data or None
+
     def close(self) -> None:
         """Release it."""
         self._socket.close()
 
 
 class SerialStream(Connection):
-    """A serial device, read as bytes."""
+    """A serial device, read as bytes.
 
-    def __init__(self, path: str, baud: int) -> None:
-        self._sender, self._port = path, SerialPort(path, baud)
+    Parameters
+    ----------
+    outbox : what is to be sent there; what waited before it is opened is too old
+    """
+
+    def __init__(self, path: str, baud: int, outbox: Outbox | None = None) -> None:
+        self._sender, self._outbox = path, outbox
+        if outbox is not None:
+            outbox.clear()
+        self._port = SerialPort(path, baud)
 
     def waits_on(self) -> Sequence[HasFileno]:
         """Return the port."""
@@ -177,6 +215,12 @@ class SerialStream(Connection):
         if not found:
             raise ConnectionResetError("the device is gone")
         return found
+
+    def turn(self, now_s: float) -> None:
+        """Send what waits."""
+        del now_s
+        if self._outbox is not None:
+            self._outbox.send(self._port.write)
 
     def write(self, data: bytes) -> None:
         """Send bytes to the device."""
@@ -304,9 +348,9 @@ class PortLink(Link):
         super().__init__(lambda: _Kept(port), f"udp {port.address}", clock)
         self._port = port
 
-    def close(self) -> None:
+    def close(self, wait_s: float | None = None) -> None:
         """Stop delivering, and release the port."""
-        super().close()
+        super().close(wait_s)
         self._port.close()
 
 
@@ -317,8 +361,13 @@ def byte_link(
     *,
     insecure_network: bool,
     serial: Callable[[str, int], Connection] = SerialStream,
+    outbox: Outbox | None = None,
 ) -> tuple[Link, str]:
     """Return the link of a URL ``x:///dev/...``, ``x+tcp://HOST:PORT``, ``x+udp://`` or ``x+file://``, and its address.
+
+    Parameters
+    ----------
+    outbox : what is to be sent over a TCP connection; a serial device gets its own by `serial`
 
     Raises
     ------
@@ -329,9 +378,10 @@ def byte_link(
     transport = parts.scheme.partition("+")[2]
     if transport == "tcp" and parts.hostname and parts.port:
         host, port = parts.hostname, parts.port
-        return Link(lambda: ByteStream(host, port), url, clock), url
+        address = without_login(url)
+        return Link(lambda: ByteStream(host, port, outbox), address, clock), address
     if transport == "udp":
-        own = DatagramPort(parts.netloc, insecure_network, f"source {url}")
+        own = DatagramPort(parts.netloc, insecure_network, f"source {without_login(url)}")
         return PortLink(own, clock), f"udp {own.address}"
     if transport == "file" and parts.path:
         return Link(lambda: FileStream(parts.path), parts.path, clock), parts.path
@@ -339,4 +389,4 @@ def byte_link(
         return Link(lambda: serial(parts.path, int(baud)), parts.path, clock), parts.path
     name = parts.scheme.partition("+")[0]
     hint = f"{name}:///dev/ttyACM0?baud=115200, {name}+tcp://HOST:PORT, {name}+udp://HOST:PORT or {name}+file:///PATH"
-    raise ConfigError("no device, address or file", where=f"source {url}", hint=hint)
+    raise ConfigError("no device, address or file", where=f"source {without_login(url)}", hint=hint)

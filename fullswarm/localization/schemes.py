@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from fullswarm.clock import Clock
-from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.errors import ConfigError, did_you_mean, without_login
 from fullswarm.localization.sighting import Convention, unit_of
 from fullswarm.localization.source import Settings, Source
 
@@ -101,13 +101,15 @@ def scheme_of(url: str) -> Scheme:
         parts = urlsplit(url)
         _ = parts.port
     except ValueError as error:
-        raise ConfigError(f"not a URL: {error}", where=f"source {url}") from None
+        raise ConfigError(f"not a URL: {error}", where=f"source {without_login(url)}") from None
     name = parts.scheme.partition("+")[0]
     if name not in SCHEMES:
-        raise ConfigError(f"'{parts.scheme or url}' is no source", where="source", hint=did_you_mean(name, SCHEMES))
+        raise ConfigError(
+            f"'{parts.scheme or without_login(url)}' is no source", where="source", hint=did_you_mean(name, SCHEMES)
+        )
     scheme = SCHEMES[name]
     if name not in HOSTLESS and not parts.hostname:
-        raise ConfigError("names no host", where=f"source {url}", hint=f"like {scheme.example}")
+        raise ConfigError("names no host", where=f"source {without_login(url)}", hint=f"like {scheme.example}")
     return scheme
 
 
@@ -124,7 +126,7 @@ def convention_of(settings: Settings) -> Convention:
     if not axes:
         raise ConfigError(
             "state which axis of the capture system points up: a wrong one would put the robots elsewhere",
-            where=f"source {settings.url}",
+            where=f"source {without_login(settings.url)}",
             hint='axes = "y-up" or "z-up" in the fleet file, or --axes; Motive has y-up unless it was changed',
         )
     if axes not in AXES:
