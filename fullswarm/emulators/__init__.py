@@ -7,5 +7,6 @@ A make's record (:mod:`fullswarm.drivers.make`) names the functions of its folde
 - ``ports.py``: the robot's ends of real links: pseudo terminal, UDP, TCP
 - ``can/``, ``create_oi/``, ``mavlink/``, ``ros/``: each make's firmware, and what its record names
 - ``lidar/``: lidars on a serial port
+- ``ntrip/``: a caster of RTK corrections
 - ``mocap/``: players of motion capture systems, which speak the vendors' formats
 """
