@@ -43,6 +43,7 @@ LATE_S = 10.0
 CLOSE_S = 0.5
 LONGEST_RETRY_S, REFUSED_RETRY_S = 60.0, 30.0
 PIECE = 16_384
+"""Bytes read at once: a whole TLS record, since `select` does not see the rest of one."""
 WORK_PER_S = 65_536.0
 """Bytes checked per second: ten times what a network of reference stations sends, 10 ms of a small computer."""
 STEPS = (10.0, 30.0, 60.0, 300.0, 600.0, 1800.0, 3600.0, 21_600.0, 86_400.0)
@@ -193,7 +194,7 @@ class CorrectionStream(Connection):
     def read(self, ready: HasFileno, now_s: float) -> Iterable[tuple[str, bytes]]:
         """Take in what has arrived; frames are delivered at the next turn."""
         del ready
-        data = self._receive()
+        data = _unblocked(lambda: self._socket.recv(PIECE))
         if data is None:
             return ()
         if not data:
@@ -203,14 +204,6 @@ class CorrectionStream(Connection):
         self._heard_s = now_s
         self._filter.add(data if self._answer is None else self._answer.feed(data))
         return ()
-
-    def _receive(self) -> bytes | None:
-        """Return what is there, all of a TLS record: `select` does not see the rest of one; None: nothing."""
-        data = _unblocked(lambda: self._socket.recv(PIECE))
-        pending = getattr(self._socket, "pending", None)
-        while data and pending is not None and pending() and len(data) < 2 * PIECE:
-            data += _unblocked(lambda: self._socket.recv(PIECE)) or b""
-        return data
 
     def turn(self, now_s: float) -> None:
         """Deliver frames, send the position, notice silence."""

@@ -26,6 +26,8 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.emulators.mocap.raw import RawServer
 from fullswarm.emulators.ntrip.caster import Caster, Kind
 from fullswarm.localization import corrections
+from fullswarm.localization.links import ByteStream
+from fullswarm.localization.rtcm import Outbox
 from fullswarm.localization.schemes import open_source
 from fullswarm.localization.sighting import Sighting
 from fullswarm.localization.source import Content, Limited, Seen, Settings
@@ -148,6 +150,18 @@ def test_the_position_is_sent_again_and_with_the_next_request(monkeypatch: pytes
         assert "\r\nNtrip-GGA: $GPGGA,120000.00,4800.0" in caster.requests[1]
 
 
+def test_frames_from_before_a_receiver_was_reached_are_not_sent() -> None:
+    receiver, box = Receiver(), Outbox()
+    receiver.start()
+    box.put(FRAMES[1], 0.0)
+    with contextlib.closing(ByteStream("127.0.0.1", receiver.port, box)) as stream:
+        box.put(FRAMES[0], 0.0)
+        stream.turn(0.0)
+        wait_for(lambda: len(receiver.received) >= len(FRAMES[0]))
+        assert bytes(receiver.received) == FRAMES[0]
+    receiver.close()
+
+
 def test_a_serial_receiver_gets_the_same_bytes() -> None:
     master, slave = os.openpty()
     tty.setraw(master)
@@ -225,6 +239,20 @@ def test_a_caster_that_falls_silent_is_asked_again(monkeypatch: pytest.MonkeyPat
         wait_for(lambda: len(caster.requests) > 1)
         robot.limited_to("nothing arrives for 0.5 s")
         flows(caster, robot)
+
+
+def test_what_sends_no_rtcm_is_left_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(corrections, "NO_FRAMES_S", 0.5)
+    caster = Caster(["BASE"])
+
+    def send() -> None:
+        caster.send_rtcm(b"$GNGGA,noise\r\n")
+        robot.measure()
+
+    with at_work(caster, login="") as robot:
+        wait_for(lambda: any("what arrives is not RTCM 3" in text for text in robot.limits), send)
+        wait_for(lambda: len(caster.requests) > 1)
+        assert robot.received == b""
 
 
 def test_a_caster_that_does_not_answer_is_asked_in_both_versions(monkeypatch: pytest.MonkeyPatch) -> None:

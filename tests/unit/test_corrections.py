@@ -203,6 +203,17 @@ def test_what_a_caster_refuses_is_said(data: bytes, words: str, refused: bool) -
     assert answer.refused is refused
 
 
+def test_a_table_without_an_end_is_not_read_for_ever() -> None:
+    answer, row = Answer("BASE", None), b"STR;" + b"x" * 60_000 + b"\n"
+    answer.feed(b"SOURCETABLE 200 OK\r\n" + TABLE)
+    fed = 0
+    with pytest.raises(DriverError, match="BASE"):  # noqa: PT012  (how often it takes is what is measured)
+        while fed < 10 << 20:
+            answer.feed(row)
+            fed += len(row)
+    assert fed <= 2 << 20
+
+
 def test_a_table_that_is_cut_off_still_names_its_mountpoints() -> None:
     answer = Answer("rtcm3_berlin", None)
     answer.feed(b"SOURCETABLE 200 OK\r\n" + TABLE)
@@ -322,6 +333,8 @@ def test_a_password_may_have_any_character(password: str) -> None:
         ("rtcm=ntrip://me:word@caster.example/BASE&login=/x", "two logins"),
         ("rtcm=ntrip://caster.example/BASE&login=x", "no absolute path"),
         ("login=/x", "login without rtcm"),
+        ("rtcm=ntrip://me:a&word@caster.example/BASE", "write %26 for &"),
+        ("rtcm=ntrip://me:a&b=word@caster.example/BASE", "write %26 for &"),
     ],
 )
 def test_options_that_will_not_do(options: str, words: str) -> None:
@@ -442,6 +455,16 @@ def test_missing_corrections_are_reported_with_their_age_and_reason_in_few_diffe
     assert "no answer" in feed.trouble(1100.0)
     feed._take(BASE, 1100.0)
     assert feed.trouble(1101.0) == ""
+
+
+def test_a_caster_is_asked_less_and_less_often() -> None:
+    feed = CorrectionFeed(Corrections("ntrip", "h", 2101, "BASE"), Outbox(), lambda: None, SimClock())
+    assert [feed._retry_s() for _ in range(8)] == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
+    feed._take(BASE, 1.0)
+    assert feed._retry_s() == 1.0
+    feed._flowing, feed._answer = False, Answer("BASE", None)
+    assert ending(feed._answer, b"HTTP/1.1 401 Unauthorized\r\n\r\n", 100)
+    assert [feed._retry_s() for _ in range(3)] == [30.0, 60.0, 60.0]
 
 
 class Words:
