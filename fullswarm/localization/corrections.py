@@ -49,7 +49,8 @@ WORK_PER_S = 65_536.0
 STEPS = (10.0, 30.0, 60.0, 300.0, 600.0, 1800.0, 3600.0, 21_600.0, 86_400.0)
 """Ages (s) at which the report of missing corrections is renewed."""
 LONGEST_LOGIN = 500
-_HOST = re.compile(r"[A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:.%]{2,60}\]")
+_LABEL = r"[A-Za-z0-9_-]{1,63}"
+_HOST = re.compile(rf"(?=.{{1,253}}\Z){_LABEL}(\.{_LABEL})*\.?|\[[0-9A-Fa-f:.]{{2,60}}\]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +214,8 @@ class CorrectionStream(Connection):
         self._worked_s = now_s
         frames, done = self._filter.take(self._work)
         self._work -= done
+        if self._filter.behind:
+            self._heard_s = now_s  # it is not read meanwhile
         for frame in frames:
             self._framed_s = now_s
             self._take(frame, now_s)

@@ -241,12 +241,14 @@ def test_a_caster_that_falls_silent_is_asked_again(monkeypatch: pytest.MonkeyPat
         flows(caster, robot)
 
 
-def test_what_sends_no_rtcm_is_left_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(corrections, "NO_FRAMES_S", 0.5)
+@pytest.mark.parametrize("noise", [b"$GNGGA,noise\r\n", b"\xd3\x03\xff" * 3000])
+def test_what_sends_no_rtcm_is_left_and_named(noise: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(corrections, "NO_FRAMES_S", 1.5)
+    monkeypatch.setattr(corrections, "SILENT_S", 1.0)
     caster = Caster(["BASE"])
 
     def send() -> None:
-        caster.send_rtcm(b"$GNGGA,noise\r\n")
+        caster.send_rtcm(noise)
         robot.measure()
 
     with at_work(caster, login="") as robot:

@@ -323,6 +323,8 @@ def test_a_password_may_have_any_character(password: str) -> None:
         ("rtcm=ntrip://caster.example", "no mountpoint"),
         ("rtcm=ntrip://caster.example/BA%20SE", "no mountpoint"),
         ("rtcm=ntrip://cas%0d%0ater/BASE", "no host"),
+        ("rtcm=ntrip://caster..example/BASE", "no host"),
+        (f"rtcm=ntrip://{'x' * 64}.example/BASE", "no host"),
         ("rtcm=ntrips://caster.example/BASE", "no port"),
         ("rtcm=ntrip://caster.example:99999/BASE", "no port"),
         ("rtcm=tcp://caster.example", "no port"),
