@@ -23,11 +23,35 @@ class Delivery(NamedTuple, Generic[M]):
 
 
 class Carried(NamedTuple):
-    """A message as it is on the wire: its key without the sender, who published it, its bytes (`bus/codec.py`)."""
+    """A message as it is on the wire: its key without the sender, who published it, its bytes (`bus/codec.py`).
 
+    `number` is that of the expression it came by, `arrival_s` when it came, on this machine's monotonic clock.
+    """
+
+    number: int
+    arrival_s: float
     key: str
     sender: str
     data: bytes
+
+
+class Tap(Protocol):
+    """A standing interest in all that comes on some keys, whatever it is.
+
+    Attributes
+    ----------
+    dropped : messages that were too long, or found no room because `take` was not called
+    """
+
+    dropped: int
+
+    def take(self) -> list[Carried]:
+        """Return what has come since the last call, in the order of arrival."""
+        ...
+
+    def close(self) -> None:
+        """Receive no more. Closing twice is fine."""
+        ...
 
 
 class Subscription(Protocol):

@@ -11,9 +11,10 @@ can restrict each certificate to its own name.
 from __future__ import annotations
 
 import atexit
+import functools
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import structlog
@@ -470,56 +471,56 @@ class Inbox:
             untyped(declared.undeclare)
 
 
-class Tap:
-    """One handler's interest in all that comes on a key expression, whatever it is."""
+class ZenohTap:
+    """Collects all that other processes send on some keys: see :class:`fullswarm.bus.base.Tap`.
 
-    def __init__(
-        self,
-        mailbox: Mailbox,
-        expression: str,
-        handler: Callable[[Carried], None],
-        on_close: Callable[[Tap], None],
-    ) -> None:
-        self.expression = expression
-        self._mailbox, self._handler, self._on_close = mailbox, handler, on_close
-        self._declared: zenoh.Subscriber[None] | None = None
+    Nothing is woken by a message: who collects calls `take` a few times a second.
+    """
+
+    def __init__(self, expressions: Sequence[str], room: int, on_close: Callable[[ZenohTap], None]) -> None:
+        self._expressions, self._room, self._on_close = tuple(expressions), room, on_close
+        self._clock, self._lock = MonotonicClock(), threading.Lock()
+        self._waiting: list[Carried] = []
+        self._declared: list[zenoh.Subscriber[None]] = []
         self._active = True
+        self.dropped = 0
 
     def declare(self, session: zenoh.Session) -> None:
         """Subscribe at the hub. The caller does this once."""
-        callback = zenoh.handlers.Callback(self.receive, indirect=False)
-        expression = wire_key(self.expression, ANY)
-        self._declared = session.declare_subscriber(expression, callback, allowed_origin=zenoh.Locality.REMOTE)
+        for number, expression in enumerate(self._expressions):
+            callback = zenoh.handlers.Callback(functools.partial(self._receive, number), indirect=False)
+            self._declared.append(
+                session.declare_subscriber(wire_key(expression, ANY), callback, allowed_origin=zenoh.Locality.REMOTE)
+            )
 
-    def receive(self, sample: zenoh.Sample) -> None:
-        """Take a message of another process; what is longer than any of ours is dropped."""
-        if len(sample.payload) > LARGEST_BYTES:
-            self._mailbox.note_drop("too long")
-            return
+    def _receive(self, number: int, sample: zenoh.Sample) -> None:
         swarm, _, rest = str(sample.key_expr).partition("/")
         sender, _, rest = rest.partition("/")
-        item = Carried(f"{swarm}/{rest}", "" if sender == UNNAMED else sender, sample.payload.to_bytes())
-        self._mailbox.put_into(Lane.READS, self._deliver, item, _ignore)
+        sender = "" if sender == UNNAMED else sender
+        data = sample.payload.to_bytes() if len(sample.payload) <= LARGEST_BYTES else None
+        with self._lock:  # with the time of arrival, or the order would not be that of the times
+            if data is None or len(self._waiting) >= self._room:
+                self.dropped += 1
+            else:
+                self._waiting.append(Carried(number, self._clock.now_s(), f"{swarm}/{rest}", sender, data))
 
-    def _deliver(self, item: Carried) -> None:
-        if self._active:
-            self._handler(item)
+    def take(self) -> list[Carried]:
+        """Return what has come since the last call, in the order of arrival."""
+        with self._lock:
+            found, self._waiting = self._waiting, []
+        return found
 
     def close(self) -> None:
-        """Stop delivering; closing twice is fine."""
+        """Receive no more; closing twice is fine."""
         if self._active:
             self._active = False
             self._on_close(self)
 
     def undeclare(self) -> None:
-        """Withdraw the declaration at the hub."""
-        declared, self._declared = self._declared, None
-        if declared is not None:
-            untyped(declared.undeclare)
-
-
-def _ignore(_: object) -> None:
-    """Do nothing: the mailbox counts what it drops."""
+        """Withdraw the declarations at the hub."""
+        declared, self._declared = self._declared, []
+        for each in declared:
+            untyped(each.undeclare)
 
 
 def is_urgent(key: str) -> bool:
@@ -578,7 +579,7 @@ class ZenohBus:
         self.dropped = self.unsent = 0
         self._mailbox = mailbox
         self._inboxes: list[Inbox] = []
-        self._taps: list[Tap] = []
+        self._taps: list[ZenohTap] = []
         self._routes: dict[str, tuple[Inbox, ...]] = {}
         self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
         self._logged: set[str] = set()
@@ -644,12 +645,9 @@ class ZenohBus:
                     inbox.declare(self._session)
         return inbox
 
-    def tap(self, expression: str, handler: Callable[[Carried], None]) -> Subscription:
-        """Deliver all messages of other processes on matching keys to `handler`, unread, with their keys.
-
-        Those that find no room in the mailbox are lost, and counted there.
-        """
-        tap = Tap(self._mailbox, expression, handler, self._forget)
+    def tap(self, expressions: Sequence[str], room: int = 20_000) -> ZenohTap:
+        """Collect all that other processes send on matching keys, unread; at most `room` messages wait."""
+        tap = ZenohTap(expressions, room, self._forget)
         with self._lock:
             if not self._closed:
                 self._taps.append(tap)
@@ -675,7 +673,7 @@ class ZenohBus:
         """End all subscriptions and leave the hub; at most 0.5 s. Closing twice is fine."""
         with self._lock:
             self._closed, self._session = True, None
-            listening: list[Inbox | Tap] = [*self._inboxes, *self._taps]
+            listening: list[Inbox | ZenohTap] = [*self._inboxes, *self._taps]
             self._inboxes, self._taps, self._routes = [], [], {}
         for each in listening:
             each.close()
@@ -727,9 +725,9 @@ class ZenohBus:
             self._publishers[sender, key] = publisher
         return publisher
 
-    def _forget(self, listening: Inbox | Tap) -> None:
+    def _forget(self, listening: Inbox | ZenohTap) -> None:
         with self._lock:
-            if isinstance(listening, Tap):
+            if isinstance(listening, ZenohTap):
                 if listening not in self._taps:
                     return
                 self._taps.remove(listening)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 import msgspec
 
-from fullswarm.bus.base import Carried, Subscription
+from fullswarm.bus.base import Carried, Tap
 from fullswarm.bus.codec import decode
 from fullswarm.errors import MessageError
 from fullswarm.identity.access import TOPICS, Topic
@@ -31,8 +31,8 @@ LOG_BYTES = 65_536
 class TapBus(Protocol):
     """A bus whose messages can be had unread; see :meth:`fullswarm.bus.zenoh_bus.ZenohBus.tap`."""
 
-    def tap(self, expression: str, handler: Callable[[Carried], None]) -> Subscription:
-        """Have `handler` called with each message on a matching key."""
+    def tap(self, expressions: Sequence[str]) -> Tap:
+        """Collect all messages on matching keys."""
         ...
 
 
@@ -42,7 +42,6 @@ class Recorder:
     Parameters
     ----------
     start_ns : nanoseconds since 1970 now
-    dropped : how many messages the mailbox has dropped so far
     logs : folder of the processes' logs, if they run on this machine
     on_failure : called once when nothing can be written any more, with the reason
 
@@ -59,39 +58,33 @@ class Recorder:
         scheduler: Scheduler,
         recording: Recording,
         start_ns: int,
-        dropped: Callable[[], int],
         logs: Path | None = None,
         on_failure: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._swarm, self._scheduler, self._recording = keys.swarm, scheduler, recording
         self._start_ns, self._start_s = start_ns, scheduler.now_s()
-        self._dropped, self._on_failure = dropped, on_failure
+        self._on_failure = on_failure
         self._scene, self._logs = Scene(), LogTail(logs)
         self._schemas = {kind: _schema(kind) for topic in TOPICS for kind in topic.messages}
         self.strange, self.failed, self._flushes, self._open = 0, False, 0, True
-        self._taps = [
-            bus.tap(f"{self._swarm}/{topic.expression()}", _handler(self._take, topic))
-            for topic in TOPICS
-            if "observer" in topic.receive
-        ]
+        self._topics = [topic for topic in TOPICS if "observer" in topic.receive]
+        self._tap = bus.tap([f"{self._swarm}/{topic.expression()}" for topic in self._topics])
         self._timer = scheduler.every(FLUSH_S, self._flush)
 
-    def _now_ns(self) -> int:
-        return self._start_ns + round(1e9 * (self._scheduler.now_s() - self._start_s))
+    def _ns(self, at_s: float) -> int:
+        return self._start_ns + round(1e9 * (at_s - self._start_s))
 
-    def _take(self, topic: Topic, carried: Carried) -> None:
-        if not self._open:
-            return
-        message = _read(topic, carried.data)
+    def _take(self, carried: Carried) -> None:
+        message = _read(self._topics[carried.number], carried.data)
         if message is None:
             self.strange += 1
             return
-        time_ns = self._now_ns()
+        time_ns = self._ns(carried.arrival_s)
         if not isinstance(message, CameraPicture):  # a picture is recorded once, as viewers show it
             name = "/" + carried.key.partition("/")[2]
             data = msgspec.json.encode(message)
             self._recording.write(name, carried.sender, self._schemas[type(message)], time_ns, data)
-        for drawn in self._scene.take(message, self._scheduler.now_s(), time_ns):
+        for drawn in self._scene.take(message, carried.arrival_s, time_ns):
             self._draw(drawn, time_ns)
 
     def _draw(self, drawn: Drawn, time_ns: int) -> None:
@@ -100,12 +93,15 @@ class Recorder:
     def _flush(self) -> None:
         if not self._open:
             return
-        now_ns = self._now_ns()
+        now_s = self._scheduler.now_s()
+        now_ns = self._ns(now_s)
         try:
+            for carried in self._tap.take():
+                self._take(carried)
             for process, line in self._logs.read():
                 self._draw(log_line(process, line, now_ns), now_ns)
             if self._flushes % SCENE_EVERY == 0:
-                self._draw(self._scene.whole(self._scheduler.now_s(), now_ns), now_ns)
+                self._draw(self._scene.whole(now_s, now_ns), now_ns)
             self._flushes += 1
             self._recording.flush()
         except OSError as error:
@@ -116,12 +112,11 @@ class Recorder:
     def close(self) -> None:
         """Write the rest and close the recording. Closing twice is fine."""
         self._timer.cancel()
-        for tap in self._taps:
-            tap.close()
+        self._tap.close()
         self._flush()
         if self._open:
             self._open = False
-            counts = {"dropped": self._dropped(), "strange": self.strange, "refused": self._recording.refused}
+            counts = {"dropped": self._tap.dropped, "strange": self.strange, "refused": self._recording.refused}
             try:
                 self._recording.note("end", {name: str(count) for name, count in counts.items()})
                 self._recording.close()
@@ -162,10 +157,6 @@ class LogTail:
             lines = text.decode(errors="replace").splitlines()
             found += [(path.stem, line[:LONGEST_LINE]) for line in lines if line.strip()]
         return found
-
-
-def _handler(take: Callable[[Topic, Carried], None], topic: Topic) -> Callable[[Carried], None]:
-    return lambda carried: take(topic, carried)
 
 
 def _read(topic: Topic, data: bytes) -> Message | None:

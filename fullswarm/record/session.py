@@ -90,7 +90,6 @@ def start(
             runtime,
             recording,
             round(1e9 * began_s),
-            lambda: sum(runtime.mailbox.dropped.values()),
             Path(run) if run else None,
             lambda problem: _fail(problem, path, runtime),
         )

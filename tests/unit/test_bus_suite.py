@@ -16,7 +16,7 @@ import zenoh
 
 from fullswarm import config
 from fullswarm.bus import LocalBus
-from fullswarm.bus.base import Carried, NamedBus, SenderBus
+from fullswarm.bus.base import NamedBus, SenderBus
 from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
@@ -132,20 +132,25 @@ def test_the_sender_arrives_beside_the_message(pair: Pair, latest: bool) -> None
 
 def test_all_that_is_on_the_wire_can_be_had_unread(remote: tuple[ZenohBus, ZenohBus, Pair]) -> None:
     publisher, subscriber, pair = remote
-    seen: list[Carried] = []
-    tap = subscriber.tap("test/heartbeat/*", seen.append)
+    tap = subscriber.tap(["test/heartbeat/*", "test/stop"], room=3)
     pair.settle()
     publisher.publish(KEYS.heartbeat("n1"), beat(1), sender="r1")
+    publisher.publish(KEYS.leases, beat(0))
     publisher.publish(KEYS.stop, StopRequest(id="s", source="me"))
     publisher.publish(KEYS.heartbeat("n2"), beat(2))
-    pair.until(lambda: len(seen) == 2)
-    assert seen == [
-        Carried("test/heartbeat/n1", "r1", encode(beat(1))), Carried("test/heartbeat/n2", "", encode(beat(2)))
-    ]  # fmt: skip
+    publisher.publish(KEYS.heartbeat("n3"), beat(3))
+    pair.until(lambda: tap.dropped == 1)
+    seen = tap.take()
+    assert [(each.number, each.key, each.sender, each.data) for each in seen] == [
+        (0, "test/heartbeat/n1", "r1", encode(beat(1))),
+        (1, "test/stop", "", encode(StopRequest(id="s", source="me"))),
+        (0, "test/heartbeat/n2", "", encode(beat(2))),
+    ]
+    assert [each.arrival_s for each in seen] == sorted(each.arrival_s for each in seen)
     tap.close()
     publisher.publish(KEYS.heartbeat("n1"), beat(3))
     pair.settle()
-    assert len(seen) == 2
+    assert tap.take() == []
     tap.close()
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Callable
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from fullswarm.bus.base import Carried, Subscription, matches
+from fullswarm.bus.base import Carried, Tap, matches
 from fullswarm.bus.codec import encode
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
@@ -152,37 +152,41 @@ def test_every_message_fits_its_json_schema(kind: type[Message]) -> None:
 class Air:
     """A bus on which a test says what is heard."""
 
-    def __init__(self) -> None:
-        self.taps: list[tuple[str, Callable[[Carried], None]]] = []
+    def __init__(self, runtime: Runtime) -> None:
+        self.runtime, self.dropped, self.open = runtime, 7, True
+        self.expressions: list[str] = []
+        self.heard: list[Carried] = []
 
-    def tap(self, expression: str, handler: Callable[[Carried], None]) -> Subscription:
-        entry = (expression, handler)
-        self.taps.append(entry)
-        taps = self.taps
+    def tap(self, expressions: Sequence[str]) -> Tap:
+        self.expressions = list(expressions)
+        return self
 
-        class Closing:
-            def close(self) -> None:
-                if entry in taps:
-                    taps.remove(entry)
+    def take(self) -> list[Carried]:
+        heard, self.heard = self.heard, []
+        return heard
 
-        return Closing()
+    def close(self) -> None:
+        self.open = False
 
     def say(self, key: str, message: Message | bytes, sender: str = "r1") -> None:
         data = message if isinstance(message, bytes) else encode(message)
-        for expression, handler in tuple(self.taps):
-            if matches(expression, key):
-                handler(Carried(key, sender, data))
+        self.heard += [
+            Carried(number, self.runtime.now_s(), key, sender, data)
+            for number, expression in enumerate(self.expressions)
+            if matches(expression, key)
+        ]
 
 
 class Rig:
     """A recorder on the air, in simulated time."""
 
     def __init__(self, folder: Path, logs: Path | None = None) -> None:
-        self.runtime, self.air, self.path = Runtime(SimClock()), Air(), folder / "run.mcap"
+        self.runtime, self.path = Runtime(SimClock()), folder / "run.mcap"
+        self.air = Air(self.runtime)
         self.recording = Recording(self.path)
         self.failures: list[str] = []
         self.recorder = Recorder(
-            self.air, Keys("s"), self.runtime, self.recording, START_NS, lambda: 7, logs, self.failures.append
+            self.air, Keys("s"), self.runtime, self.recording, START_NS, logs, self.failures.append
         )
 
     def read(self) -> dict[str, list[tuple[int, Any]]]:
