@@ -209,6 +209,7 @@ class RangesConfig(Section):
     dropout: float = Field(0.01, ge=0.0, le=1.0)  # share of the rays that measure nothing
     rate_hz: float = Field(10.0, gt=0.0, le=200.0)  # scans per second
     fov_rad: float = Field(6.283185307179586, gt=0.0, le=6.283185307179587)  # field of view, centred on its x axis
+    cone_rad: float = Field(0.0, ge=0.0, le=1.5)  # each ray measures the nearest thing in a cone of this angle
     x_m: float = Field(0.0, ge=-10.0, le=10.0)  # where it is on the body
     y_m: float = Field(0.0, ge=-10.0, le=10.0)
     yaw_rad: float = Field(0.0, ge=-6.3, le=6.3)

@@ -149,6 +149,7 @@ class RangeScan:
     name: str = "ranges"  # tells the sensors of a robot apart
     sigma_m: float = 0.01  # standard deviation of a distance
     duration_s: float = 0.0  # from the first ray to the last: a robot that turns meanwhile is taken into account
+    cone_rad: float = 0.0  # full angle of each ray's field of view: the distance is that of the nearest thing in it
 
 
 @dataclass(frozen=True, slots=True)

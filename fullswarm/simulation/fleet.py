@@ -133,6 +133,7 @@ class SimFleet:
             self._scans[place] = RangeScan(
                 stamp_s=now_s, angles_rad=sensor.angles_rad, distances_m=distances_m, max_m=settings.max_m,
                 mount=Pose(settings.x_m, settings.y_m, settings.yaw_rad), sigma_m=settings.sigma_m,
+                cone_rad=settings.cone_rad,
             )  # fmt: skip
         if news:
             self._reading.ranges = tuple(self._scans.items())

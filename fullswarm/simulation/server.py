@@ -222,7 +222,7 @@ class WorldServer:
             step_rad = float(angles_rad[1] - angles_rad[0]) if len(angles_rad) > 1 else 0.0
             scan = self._scans[row] = protocol.Scan(
                 number, protocol.pack_rows(distances_m), float(angles_rad[0]), step_rad, settings.max_m,
-                (settings.x_m, settings.y_m, settings.yaw_rad), settings.sigma_m,
+                (settings.x_m, settings.y_m, settings.yaw_rad), settings.sigma_m, settings.cone_rad,
             )  # fmt: skip
         return scan
 

@@ -265,6 +265,8 @@ def _wrong_scan(scan: RangeScan, reading: Reading) -> Iterator[str]:
         or (np.isfinite(distances_m) & (distances_m > scan.max_m)).any()
     ):
         yield f"{what} has a distance that is not infinite, NaN or 0 to max_m = {scan.max_m}"
+    if not 0.0 <= scan.cone_rad < math.pi:
+        yield f"{what} has a cone_rad of {scan.cone_rad}, not 0 to less than pi"
     if not reading.stamp_s - AGE_S <= scan.stamp_s <= reading.stamp_s + EARLY_S:
         yield f"{what} was measured {reading.stamp_s - scan.stamp_s:.2f} s before the reading"
 

@@ -135,6 +135,15 @@ def test_a_scan_from_an_unknown_pose_is_left_out() -> None:
     assert not sense.update(0.0, np.full((1, 3), math.nan), EXACT, STANDS, scan(circle(0.0, 0.8, 0.1), 0.0))
 
 
+def test_of_a_scan_that_measured_nothing_at_all_nothing_follows() -> None:
+    sense = RangeSense([LIDAR], table(), BOUNDS, 0.05, np.array([RADIUS]))
+    sense.update(0.0, HERE, EXACT, STANDS, scan(circle(0.0, 0.8, 0.1), 0.0))
+    before = sense.grid.odds.copy()
+    assert sense.update(0.1, HERE, EXACT, STANDS, scan(np.full(len(ANGLES), math.nan), 0.1))
+    assert np.array_equal(sense.grid.odds, before)
+    assert len(sense.obstacles) > 0
+
+
 def test_what_moves_through_free_space_is_a_body_and_a_wall_is_none() -> None:
     sense = RangeSense([LIDAR], table(), BOUNDS, 0.05, np.array([RADIUS]))
     rng = np.random.default_rng(1)

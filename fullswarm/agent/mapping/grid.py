@@ -58,7 +58,7 @@ class OccupancyGrid:
             past.popleft()
         past.append((now_s, self.odds.copy()))
 
-    def add(self, origin: Array, ends: Array, hits: Flags, moving: Flags) -> None:
+    def add(self, origin: Array, ends: Array, hits: Flags, moving: Flags, frees: Flags | None = None) -> None:
         """Take in one scan.
 
         Parameters
@@ -67,13 +67,14 @@ class OccupancyGrid:
         ends : (k, 2) m, where each ray ended or was lost
         hits : (k,) whether it ended at something; a ray that ended at a robot of the fleet only frees
         moving : (k,) whether what it hit moves
+        frees : (k,) whether it frees the cells that it passed; None: all do
         """
         odds = self.odds.reshape(-1)
         none = np.empty(0, np.intp)
         firm = self._once(self.place.cells(ends[hits & ~moving]), none)
         loose = self._once(self.place.cells(ends[hits & moving]), firm)
         hit = np.concatenate([firm, loose])
-        free = self._once(self._passed(origin, ends), hit)
+        free = self._once(self._passed(origin, ends if frees is None else ends[frees]), hit)
         touched = np.concatenate([hit, free])
         before = _state(odds[touched])
         odds[firm] = np.minimum(odds[firm] + HIT, MOST)

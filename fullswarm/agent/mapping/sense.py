@@ -5,12 +5,18 @@ grid. What lies where all was free moves: it is enclosed in a disc and handed to
 the safety filter are the occupied cells around each robot and the cells of its newest scan, whatever the grid says of
 them: something that has just come in front of a robot counts at once. They are where the robot saw them from, so the
 error of its pose cancels; the filter's margin counts it nevertheless.
+
+A ray of a sensor with a wide field of view (``RangeScan.cone_rad``) says how far the nearest thing in its cone is, not
+where in the cone. The whole arc at that distance counts as occupied, so that nothing at the edge of a cone is lost;
+only the middle half of the cone frees cells, because the sensor may miss what covers little of its field of view. What
+such a ray hits is not tracked as a moving body: the arc moves with the robot.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,6 +38,9 @@ MOVING_RANGE_M = 4.0
 """Bodies farther away are not tracked: too few rays hit them."""
 KEPT_S = 1.0
 """Cells of a scan count for so long when the sensor is silent."""
+CORE = 0.5
+"""Share of a cone's angle, around its axis, in which a measurement frees cells."""
+NO_BODIES: Array = np.zeros((0, 3))
 NO_CELLS: Index = np.zeros(0, np.int64)
 
 
@@ -62,7 +71,7 @@ class RangeSense:
         self.range_m = min(max((each.ranges_max_m for each in descriptions), default=0.0), MOVING_RANGE_M)
         self.grid = OccupancyGrid(GridPlace.over(bounds_m, cell_m) if self.any else GridPlace(0.0, 0.0, 1.0, 32, 32))
         self.obstacles = NO_OBSTACLES
-        self.bodies = np.zeros((0, 3))
+        self.bodies = NO_BODIES
         self.stamp_s = -math.inf
         self._neighbours, self._radius_m = neighbours, radius_m
         self.blind: Flags = np.array([each.ranges_max_m > 0.0 for each in descriptions])
@@ -140,22 +149,31 @@ class RangeSense:
         self, now_s: float, row: int, scan: RangeScan, pose: Array, sigma_m: float, twist: Array, robots: Array
     ) -> Array:
         """Take in one scan; return the bodies (k, 3) that it saw moving."""
+        cones = len(scan.distances_m)
+        scan, core = spread(scan, self.grid.place.cell_m)
         origins, ends, hits, order = points_of(scan, pose, twist, now_s)
+        if not len(origins):
+            return NO_BODIES  # nothing was measured
         spare_m = ROBOT_SPARE_M + CONFIDENCE * (sigma_m + scan.sigma_m)
         reached = np.flatnonzero(hits)
         away_m = np.hypot(ends[reached, None, 0] - robots[None, :, 0], ends[reached, None, 1] - robots[None, :, 1])
         strange = ~(away_m <= robots[:, 2] + spare_m).any(axis=1)
+        if core is not None:  # a robot anywhere on a cone's arc is what the cone has measured
+            cone = order[reached] // (len(core) // cones)
+            strange &= np.bincount(cone, ~strange, cones)[cone] == 0.0
         strange &= np.hypot(*(ends[reached] - pose[:2]).T) > self._radius_m[row]
         hits[reached[~strange]] = False
         reached = reached[strange]
         points = ends[reached]
         origin = origins.mean(axis=0)
         close = np.hypot(*(points - origin).T) <= self.range_m
-        appeared = self.grid.appeared(points[close], now_s)
-        bodies, moved = moving_bodies(origin, points[close], order[reached[close]], appeared)
         moving = np.zeros(len(hits), bool)
-        moving[reached[close][moved]] = True
-        self.grid.add(origin, ends, hits, moving)
+        bodies = NO_BODIES
+        if not scan.cone_rad:
+            appeared = self.grid.appeared(points[close], now_s)
+            bodies, moved = moving_bodies(origin, points[close], order[reached[close]], appeared)
+            moving[reached[close][moved]] = True
+        self.grid.add(origin, ends, hits, moving, None if core is None else core[order])
         cells = self.grid.place.cells(points)
         self._cells[row, scan.name] = now_s, cells[cells >= 0]
         return bodies
@@ -169,6 +187,21 @@ class RangeSense:
         """Return which cells of the grid are occupied, (rows, columns)."""
         found: Flags = self.grid.odds > OCCUPIED_ABOVE
         return found
+
+
+def spread(scan: RangeScan, cell_m: float) -> tuple[RangeScan, Flags | None]:
+    """Return a scan whose cones are rays side by side, all of the cone's distance, and which of them may free cells.
+
+    The rays are at most `cell_m` apart at `max_m`. A scan of narrow rays is returned as it is, with None: all may.
+    """
+    if not scan.cone_rad > 0.0:
+        return scan, None
+    half = math.ceil(0.5 * scan.cone_rad * scan.max_m / cell_m)
+    off_rad = np.linspace(-0.5 * scan.cone_rad, 0.5 * scan.cone_rad, 2 * half + 1)
+    core = np.abs(off_rad) <= 0.5 * CORE * scan.cone_rad + 1e-9
+    angles_rad = (scan.angles_rad[:, None] + off_rad[None, :]).ravel()
+    distances_m = np.repeat(scan.distances_m, len(off_rad))
+    return replace(scan, angles_rad=angles_rad, distances_m=distances_m), np.tile(core, len(scan.distances_m))
 
 
 def points_of(scan: RangeScan, pose: Array, twist: Array, now_s: float) -> tuple[Array, Array, Flags, Index]:

@@ -71,6 +71,8 @@ class MapPoses:
             return
         self._last = reading.ranges
         for row, scan in reading.ranges:
+            if scan.cone_rad > 0.0:
+                continue  # where in its cone something is, is not known: it would not fit the map
             since_s = scan.stamp_s - self._seen_s.get((row, scan.name), scan.stamp_s)
             if (row, scan.name) in self._seen_s and since_s <= 0.0:
                 continue

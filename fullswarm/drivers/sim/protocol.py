@@ -85,6 +85,7 @@ class Scan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_m: float
     mount: Triple
     sigma_m: float
+    cone_rad: float = 0.0
 
 
 class BodyReading(Datagram, frozen=True, kw_only=True, tag="sim.BodyReading/3"):

@@ -146,7 +146,10 @@ class Session(LinkSession[bytes]):
         angles_rad = scan.first_rad + scan.step_rad * np.arange(len(distances_m), dtype=np.float64)
         self._scan = scan.number
         self._ranges = (
-            RangeScan(now_s, angles_rad, distances_m, scan.max_m, Pose(*scan.mount), sigma_m=scan.sigma_m),
+            RangeScan(
+                now_s, angles_rad, distances_m, scan.max_m, Pose(*scan.mount), sigma_m=scan.sigma_m,
+                cone_rad=scan.cone_rad,
+            ),
         )  # fmt: skip
 
     def _take(self, body: protocol.BodyReading, now_s: float) -> None:
