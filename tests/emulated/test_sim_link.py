@@ -12,7 +12,7 @@ import pytest
 
 from fullswarm.bus import LocalBus
 from fullswarm.clock import SimClock
-from fullswarm.config import SwarmConfig, WorldConfig
+from fullswarm.config import RangesConfig, SwarmConfig, WorldConfig
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Twist
 from fullswarm.drivers.sim.driver import SimDriver
 from fullswarm.drivers.sim.session import Session
@@ -280,3 +280,17 @@ def test_a_pause_of_the_drivers_own_process_is_no_silence_of_the_world(bench: Be
     bench.stop_world()
     took_s = bench.until(lambda: driver.state is Lifecycle.FAULT)
     assert took_s < 3.0, "and a silence that comes then is one"
+
+
+def test_a_range_sensor_with_wide_beams_says_so(bench: Bench) -> None:
+    bench.stop_world()
+    ranges = RangesConfig(count=3, fov_rad=1.0, cone_rad=0.4, max_m=1.3, sigma_m=0.0, dropout=0.0)
+    bench.world = World(CONFIG.model_copy(update={"ranges": ranges}), ("r1",), [(1.0, 1.0, math.pi)])
+    bench.server = WorldServer(bench.world, bench.address)
+    driver = bench.driver("r1")
+    bench.until(lambda: (reading := driver.read()) is not None and bool(reading.ranges))
+    reading = driver.read()
+    assert reading is not None
+    (scan,) = reading.ranges
+    assert scan.cone_rad == 0.4
+    assert scan.distances_m == pytest.approx([1.0 / math.cos(0.3), 1.0, 1.0 / math.cos(0.3)], abs=1e-3)

@@ -11,10 +11,12 @@ from hypothesis import strategies as st
 
 from fullswarm import Lab
 from fullswarm.agent.mapping.sense import CORE, RangeSense, spread
-from fullswarm.config import RangesConfig
-from fullswarm.drivers.base import Description, Limits, Pose, RangeScan
+from fullswarm.agent.pose.map_poses import MapPoses
+from fullswarm.config import RangesConfig, SwarmConfig
+from fullswarm.drivers.base import NO_OBSTACLES, Description, FleetReading, Limits, Pose, RangeScan
 from fullswarm.kernels import Array
 from fullswarm.maps.tiles import FREE, OCCUPIED
+from fullswarm.messages import PoseFix
 from fullswarm.simulation.ranges import SimulatedSensor
 from tests.unit.test_agent_objects import RADIUS, receive, table
 
@@ -110,6 +112,24 @@ def test_a_simulated_cone_measures_the_nearest_thing_in_it(towards: float, acros
     nearest = across_m / math.cos(max(0.0, abs(towards) - CONE / 2.0))
     assert found.shape == (1,)
     assert float(found[0]) == pytest.approx(nearest, rel=1e-4) if nearest <= MAX_M else math.isinf(found[0])
+
+
+def test_no_place_on_a_map_follows_from_a_cone() -> None:
+    config = SwarmConfig.model_validate({"robot": [{"id": "r1", "pose": (0.0, 0.0, 0.0)}]})
+    row = np.zeros(1)
+    reading = FleetReading(
+        row, HERE, HERE, STANDS, np.zeros(1, np.uint8), np.zeros(1, np.int64), row, NO_OBSTACLES, row
+    )
+    wall = np.array([[1.5, 0.0, 0.5, 5.0, 0.0, 0.0]])
+    for cone_rad, located in ((0.0, True), (CONE, False)):
+        fixes: list[PoseFix] = []
+        poses = MapPoses(config, ("r1",), wall, np.array([RADIUS]), HERE, fixes.append)
+        angles = np.linspace(-0.5, 0.5, 40)
+        for number in range(5):
+            scan = RangeScan(0.1 * number, angles, 1.0 / np.cos(angles), 4.0, cone_rad=cone_rad)
+            reading.ranges = ((0, scan),)
+            poses.update(reading, HERE)
+        assert bool(fixes) is located
 
 
 FIVE = {"count": 5, "fov_rad": math.pi, "cone_rad": CONE, "max_m": MAX_M, "rate_hz": 20.0, "dropout": 0.0}
