@@ -1,4 +1,4 @@
-"""Runs `fullswarm emulate`: one emulated robot or lidar on a real port, with faults that are typed while it runs.
+"""Runs `fullswarm emulate`: one emulated robot or range sensor on a real port, with faults typed while it runs.
 
 A fault is a line such as ``cliff on``, ``battery 0.1`` or ``unplug``. Every make's emulator has the same names for
 them; what a make does not support is refused.
@@ -19,8 +19,9 @@ from urllib.parse import quote, urlsplit
 
 from fullswarm import output
 from fullswarm.clock import MonotonicClock
-from fullswarm.drivers.lidar.settings import KINDS as LIDARS
 from fullswarm.drivers.make import Bench, Emulation, Emulator, emulation_part, make_of, named
+from fullswarm.drivers.ranges import KINDS as SENSORS
+from fullswarm.drivers.tof.settings import SCHEME as TOF
 from fullswarm.emulators.base import LinkFaults
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.output import TypedLines
@@ -66,7 +67,7 @@ def run(
             inject(emulator, each)
         _announce(options, emulator.url, as_json=as_json)
         typed = TypedLines()
-        if options.make not in LIDARS:
+        if options.make not in SENSORS:
             printer = _Printer(emulator, body)
             runtime.every(LOOK_S, lambda: printer.print_change(runtime.now_s()), first_s=0.0)
         runtime.every(LISTEN_S, lambda: _listen(typed, emulator, runtime))
@@ -75,8 +76,8 @@ def run(
 
 
 def _refuse_misfits(options: EmulateOptions) -> None:
-    if options.make in LIDARS:
-        useless = {"listen": True, "model": True, "url": True}
+    if options.make in SENSORS:
+        useless = {"listen": True, "model": True, "url": options.make != TOF}
     else:
         emulation = _emulation(options.make)
         useless = {
@@ -92,7 +93,7 @@ def _refuse_misfits(options: EmulateOptions) -> None:
 
 
 def _emulation(name: str) -> Emulation:
-    emulation = named(name, also=LIDARS).emulation
+    emulation = named(name, also=SENSORS).emulation
     assert emulation is not None, name  # noqa: S101  (`named` returns no other)
     return emulation
 
@@ -110,17 +111,23 @@ def _port_path(options: EmulateOptions) -> Iterator[str]:
 
 @contextmanager
 def _started(options: EmulateOptions, path: str, body: Body) -> Iterator[Emulator]:
-    emulator = _lidar(options.make, path, body) if options.make in LIDARS else _robot(options, path, body)
+    emulator = _sensor(options, path, body) if options.make in SENSORS else _robot(options, path, body)
     try:
         yield emulator
     finally:
         emulator.close()
 
 
-def _lidar(kind: str, path: str, body: Body) -> Emulator:
-    from fullswarm.emulators.lidar.emulator import RoomLidar
+def _sensor(options: EmulateOptions, path: str, body: Body) -> Emulator:
+    emulator: Emulator
+    if options.make == TOF:
+        from fullswarm.emulators.tof.emulator import FIVE, RoomTof
 
-    emulator: Emulator = RoomLidar(kind, path, body).start()
+        emulator = RoomTof(options.url or f"{TOF}://{quote(path)}{FIVE}", body).start()
+    else:
+        from fullswarm.emulators.lidar.emulator import RoomLidar
+
+        emulator = RoomLidar(options.make, path, body).start()
     return emulator
 
 
@@ -153,8 +160,8 @@ def _announce(options: EmulateOptions, url: str, *, as_json: bool) -> None:
 
 
 def openings(url: str) -> dict[str, str]:
-    """Return what other clients open for the robot or lidar that our driver opens as `url`."""
-    if urlsplit(url).scheme in LIDARS:
+    """Return what other clients open for the robot or sensor that our driver opens as `url`."""
+    if urlsplit(url).scheme in SENSORS:
         return {"fleet file": f'ranges = "{url}"'}
     make = make_of(url)
     clients = make.emulation.clients if make.emulation else ""
@@ -310,6 +317,11 @@ def _light(emulator: Any, text: str) -> None:
     )  # fmt: skip
 
 
+def _sensor_cable(emulator: Any, text: str) -> None:
+    which, _, on = text.partition(" ")
+    emulator.wire_sensor(which, switch(on))
+
+
 def _infrared(emulator: Any, text: str) -> None:
     code = None if text == "none" else int(number(text, 0, 255))
     emulator.set_infrared(code, code or 0, code or 0)
@@ -320,6 +332,7 @@ FAULTS: dict[str, Fault] = {
     "replug": Fault("", "put it back", lambda it, _: it.replug(), "replug"),
     "reboot": Fault("", "restart the firmware", lambda it, _: it.reboot(), "reboot"),
     "mute": Fault("on|off", "receives, but sends nothing", lambda it, text: it.mute(switch(text)), "mute"),
+    "sensor": Fault("WHICH on|off", "the cable of one time-of-flight sensor", _sensor_cable, "wire_sensor"),
     "stick": Fault("on|off", "repeats old sensor values", lambda it, text: it.stick_sensors(switch(text)),
                    "stick_sensors"),
     "battery": Fault("0..1", "charge", lambda it, text: it.set_battery(number(text, 0.0, 1.0)), "set_battery"),

@@ -58,12 +58,12 @@ def fleet_robots(context: typer.Context, incomplete: str) -> Offer:
 
 
 def emulated_makes(incomplete: str) -> Offer:
-    """Offer the makes and lidars that can be emulated."""
-    from fullswarm.drivers.lidar.settings import KINDS
+    """Offer the makes and range sensors that can be emulated."""
     from fullswarm.drivers.make import makes
+    from fullswarm.drivers.ranges import KINDS
 
     offer = [(each.name, each.robots) for each in makes() if each.emulation]
-    return _listed([*offer, *((scheme, kind.label) for scheme, kind in KINDS.items())], incomplete)
+    return _listed([*offer, *KINDS.items()], incomplete)
 
 
 def behaviours(context: typer.Context, incomplete: str) -> Offer:

@@ -143,7 +143,7 @@ def emulate(
         str,
         typer.Argument(
             metavar="MAKE",
-            help="create, mavlink, odrive, vesc, ros, ld19, rplidar, or one of an outside package.",
+            help="create, mavlink, odrive, vesc, ros, ld19, rplidar, vl53l1x, or one of an outside package.",
             autocompletion=completion.emulated_makes,
         ),
     ],
@@ -165,7 +165,7 @@ def emulate(
     seconds: Annotated[float | None, typer.Option(min=0.1, help="End after this time (default: on Ctrl-C).")] = None,
     as_json: Json = False,
 ) -> int:
-    """Run one emulated robot or lidar on a real port, for any client. Type `help` while it runs."""
+    """Run one emulated robot or range sensor on a real port, for any client. Type `help` while it runs."""
     from fullswarm.bringup.emulate import EmulateOptions, run
     from fullswarm.emulators.base import LinkFaults
 

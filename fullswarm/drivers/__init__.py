@@ -23,9 +23,11 @@ Further files:
 ``null/``                The null make: ``null://<id>``, a robot without hardware
 ``probe/``               Identifies the robot on a port without moving it: for `fullswarm robots find` and `fullswarm
                          doctor`
+``ranges.py``            Range sensors on board: which kinds there are, and the sensor of a URL
 ``ros/``                 ROS robots that take ``cmd_vel`` and give ``odom``, over rmw_zenoh, zenoh-bridge-ros2dds or
                          rosbridge
 ``sim/``                 The simulated make
+``tof/``                 Time-of-flight sensors on an I2C bus on board, beside the driver of a robot of any make
 ``linked.py``            Runs the session with one robot for every make: thread, port, rules of the contract
 ``ports.py``             Opens serial devices, TCP and UDP, and reports what to do where that fails
 """

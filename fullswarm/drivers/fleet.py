@@ -30,7 +30,7 @@ from fullswarm.errors import DriverError
 from fullswarm.kernels import Array
 
 if TYPE_CHECKING:
-    from fullswarm.drivers.lidar.sensor import LidarSensor
+    from fullswarm.drivers.ranges import RangeSensor
 
 log = structlog.get_logger()
 
@@ -46,20 +46,20 @@ class OneRobot:
 
     Parameters
     ----------
-    lidar : on board beside the driver. While it measures nothing the robot counts as in FAULT: what it was to keep off
-        by its ranges it cannot see.
+    sensor : range sensor on board beside the driver. While it measures nothing the robot counts as in FAULT: what it
+        was to keep off by its ranges it cannot see.
     """
 
     def __init__(
-        self, robot: str, driver: Driver, clock: Clock | None = None, lidar: LidarSensor | None = None
+        self, robot: str, driver: Driver, clock: Clock | None = None, sensor: RangeSensor | None = None
     ) -> None:
         self.ids: tuple[str, ...] = (robot,)
         self.urls: tuple[str, ...] = (driver.url,)
         described = driver.description
-        if lidar is not None:
-            described = replace(described, ranges_max_m=max(described.ranges_max_m, lidar.settings.max_m))
+        if sensor is not None:
+            described = replace(described, ranges_max_m=max(described.ranges_max_m, sensor.max_m))
         self.descriptions: tuple[Description, ...] = (described,)
-        self._driver, self._lidar = driver, lidar
+        self._driver, self._sensor = driver, sensor
         self._scans: tuple[RangeScan, ...] = ()
         self._fixable = driver if isinstance(driver, TakesFixes) else None
         self._clock = clock or MonotonicClock()
@@ -85,8 +85,8 @@ class OneRobot:
 
     def open(self) -> None:
         """Open the driver, or try again later."""
-        if self._lidar is not None:
-            self._lidar.start()
+        if self._sensor is not None:
+            self._sensor.start()
         try:
             self._driver.open()
         except DriverError as error:
@@ -101,8 +101,8 @@ class OneRobot:
         if self._absent is not None and self._clock.now_s() >= self._again_s:
             self.open()
         new, rows = self._driver.read(), self._reading
-        if self._lidar is not None and self._lidar.scans is not self._scans:
-            self._scans = self._lidar.scans
+        if self._sensor is not None and self._sensor.scans is not self._scans:
+            self._scans = self._sensor.scans
             rows.ranges = tuple((0, scan) for scan in (*self._ranges, *self._scans))
         if new is None or new is self._last:
             return rows
@@ -142,12 +142,12 @@ class OneRobot:
         return np.array([[applied.linear_m_s, applied.angular_rad_s]])
 
     def lifecycle(self, row: int) -> Lifecycle:
-        """Return the driver's state; FAULT while its port is not there, or its lidar measures nothing."""
+        """Return the driver's state; FAULT while its port is not there, or its range sensor measures nothing."""
         del row
         return self._driver.state if self._absent is None and not self._blind else Lifecycle.FAULT
 
     def fault(self, row: int) -> str:
-        """Return the driver's fault, or its lidar's."""
+        """Return the driver's fault, or its range sensor's."""
         del row
         return (self._driver.fault if self._absent is None else str(self._absent)) or self._blind
 
@@ -193,15 +193,15 @@ class OneRobot:
         self._driver.actuate(name, found)
 
     def close(self) -> None:
-        """Close the driver and the lidar."""
+        """Close the driver and the range sensor."""
         self._driver.close()
-        if self._lidar is not None:
-            self._lidar.close()
+        if self._sensor is not None:
+            self._sensor.close()
 
     @property
     def _blind(self) -> str:
-        """Why its lidar measures nothing; empty: it measures, or there is none."""
-        return "" if self._lidar is None else self._lidar.trouble
+        """Why its range sensor measures nothing; empty: it measures, or there is none."""
+        return "" if self._sensor is None else self._sensor.trouble
 
 
 def _write(row: Array, pose: Pose) -> None:

@@ -15,8 +15,9 @@ from fullswarm import registry
 from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
 from fullswarm.config.fleet_file import Check
 from fullswarm.drivers.base import Description
-from fullswarm.drivers.lidar.settings import parse_url
 from fullswarm.drivers.make import Claim, emulated, make_of
+from fullswarm.drivers.ranges import parse_url
+from fullswarm.drivers.tof.settings import SCHEME
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean, nearest
 
 
@@ -58,7 +59,7 @@ def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str
         schemes = schemes or registry.driver_schemes()
         if scheme not in schemes and (nearest(scheme, schemes) or (here and not robot.elsewhere)):
             yield robot.id, "driver", f"no driver for '{scheme or robot.url}', {did_you_mean(scheme, schemes)}"
-    yield from _lidar_problems(config)
+    yield from _range_problems(config)
     taken: dict[tuple[str, ...], RobotConfig] = {}
     for robot in config.robot:
         if not robot.driver or not (here or robot.elsewhere):
@@ -70,7 +71,7 @@ def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str
                 break
 
 
-def _lidar_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
+def _range_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
     taken: dict[tuple[str, str], str] = {}
     for robot in config.robot:
         if not robot.ranges:
@@ -79,7 +80,7 @@ def _lidar_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
             yield (
                 robot.id,
                 "ranges",
-                f"a simulated robot has no lidar on a port: write [world.bodies.{robot.id}] ranges",
+                f"a simulated robot has no range sensor on a port: write [world.bodies.{robot.id}] ranges",
             )
             continue
         try:
@@ -87,9 +88,15 @@ def _lidar_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
         except ConfigError as error:
             yield robot.id, "ranges", f"{error.what}{f'; {error.hint}' if error.hint else ''}"
             continue
+        if config.agent.locate_on_map and urlsplit(robot.ranges).scheme == SCHEME:
+            yield robot.id, "ranges", "no place on a map follows from wide beams: agent.locate_on_map needs a lidar"
         other = taken.setdefault((robot.host if robot.elsewhere else "", settings.where), robot.id)
         if other != robot.id:
-            yield robot.id, "ranges", f"{settings.where} is taken by {other}: each robot needs a lidar of its own"
+            yield (
+                robot.id,
+                "ranges",
+                f"{settings.where} is taken by {other}: each robot needs its own range sensor",
+            )
 
 
 def _claims(robot: RobotConfig) -> tuple[Claim, ...]:

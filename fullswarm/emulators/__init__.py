@@ -8,5 +8,6 @@ A make's record (:mod:`fullswarm.drivers.make`) names the functions of its folde
 - ``can/``, ``create_oi/``, ``mavlink/``, ``ros/``: each make's firmware, and what its record names
 - ``lidar/``: lidars on a serial port
 - ``ntrip/``: a caster of RTK corrections
+- ``tof/``: time-of-flight sensors on an I2C bus
 - ``mocap/``: players of motion capture systems, which speak the vendors' formats
 """

@@ -31,7 +31,7 @@ from fullswarm.runtime import Mailbox, Runtime
 
 if TYPE_CHECKING:
     from fullswarm.bus.hub import Hub
-    from fullswarm.drivers.lidar.sensor import LidarSensor
+    from fullswarm.drivers.ranges import RangeSensor
 
 RUN = "FULLSWARM_RUN"
 """Folder of the `up` or `demo` that started this process; it ends with the run, as its simulated bodies do."""
@@ -227,7 +227,7 @@ def agent(
     entry = _entry(config, robot)
     check_frames(config, (entry,))
     url = driver_url(config, entry)
-    fleet = OneRobot(robot, guarded(registry.driver_class(url)(url)), lidar=_lidar(entry))
+    fleet = OneRobot(robot, guarded(registry.driver_class(url)(url)), sensor=_range_sensor(entry))
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
         identity = Identity(robot, process_id(robot))
@@ -254,14 +254,13 @@ def agent(
     return serve_on_bus(config, with_parent, build, robot)
 
 
-def _lidar(entry: RobotConfig) -> LidarSensor | None:
-    """Return the lidar that the fleet file gives the robot beside its driver."""
+def _range_sensor(entry: RobotConfig) -> RangeSensor | None:
+    """Return the range sensor that the fleet file gives the robot beside its driver."""
     if not entry.ranges:
         return None
-    from fullswarm.drivers.lidar.sensor import LidarSensor
-    from fullswarm.drivers.lidar.settings import parse_url
+    from fullswarm.drivers.ranges import sensor_of
 
-    return LidarSensor(parse_url(entry.ranges))
+    return sensor_of(entry.ranges)
 
 
 def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int:

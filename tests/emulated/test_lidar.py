@@ -33,7 +33,7 @@ def ahead(angle_rad: float) -> float:
 def robot(kind: str, options: str = "") -> Iterator[tuple[LidarEmulator, OneRobot]]:
     """Yield a lidar and a driving robot that has it."""
     with LidarEmulator(kind, ahead) as lidar:
-        fleet = OneRobot("r1", NullDriver("null://r1"), lidar=LidarSensor(parse_url(lidar.url + options)))
+        fleet = OneRobot("r1", NullDriver("null://r1"), sensor=LidarSensor(parse_url(lidar.url + options)))
         try:
             assert fleet.lifecycle(0) is not Lifecycle.ACTIVE
             fleet.open()

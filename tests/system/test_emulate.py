@@ -21,6 +21,7 @@ import pytest
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.lidar.sensor import LidarSensor
 from fullswarm.drivers.lidar.settings import parse_url
+from fullswarm.drivers.ranges import sensor_of
 from tests.waiting import until
 
 CLOCK = MonotonicClock()
@@ -173,6 +174,33 @@ def test_an_emulated_lidar_is_read_as_the_printed_line_says_and_can_be_carried(k
         assert process.end()[0] == 0
     code, _, told = fullswarm("emulate", kind, "--model", "a1")
     assert (code, "means nothing to an emulated" in told) == (2, True), told
+
+
+def test_emulated_time_of_flight_sensors_are_read_as_the_printed_line_says(tmp_path: Path) -> None:
+    port = str(tmp_path / "tof")
+    with Process("emulate", "vl53l1x", "--port", port, "--json") as process:
+        announced = process.first_line()
+        assert announced["url"].startswith(f"vl53l1x://{port}?sensor=0@")
+        assert announced["clients"]["fleet file"] == f'ranges = "{announced["url"]}"'
+        sensors = sensor_of(announced["url"])
+        try:
+            sensors.start()
+            until(lambda: [each.distances_m[0] for each in sensors.scans] == 5 * [math.inf], START_S)
+            process.say("push 2.1 0")
+            until(lambda: sensors.scans[2].distances_m[0] == pytest.approx(0.8, abs=0.01), START_S)
+            process.say("sensor 2 off")
+            until(lambda: "sensor 2 on" in sensors.trouble and "does not answer" in sensors.trouble, START_S)
+            process.say("sensor 2 on")
+            until(lambda: not sensors.trouble, START_S)
+            process.say("sensor 9 off")
+            process.tells("no sensor '9'")
+            process.say("block on")
+            process.tells("'block' is not supported")
+        finally:
+            sensors.close()
+    one = f"vl53l1x://{tmp_path / 'one'}?sensor=0x30@0.1,0,0"
+    with Process("emulate", "vl53l1x", "--url", one, "--json") as process:
+        assert process.first_line()["url"] == one
 
 
 def measured_m(lidar: LidarSensor, angle_rad: float) -> float:

@@ -70,13 +70,19 @@ def test_a_release_has_what_its_robots_agents_need(tmp_path: Path) -> None:
                 {"id": "c1", "driver": "create:///dev/ttyUSB0"},
                 {"id": "m1", "driver": "mavlink+serial:///dev/ttyACM0"},
                 {"id": "b1", "driver": "can+odrive://can0?left=1&right=2&wheel_radius=0.05&base=0.3"},
+                {
+                    "id": "t1",
+                    "driver": "create:///dev/ttyUSB0",
+                    "ranges": "vl53l1x:///dev/i2c-1?sensor=0@0.1,0,0",
+                },
             ],
         }
     )
     wanted = [extras_needed(each, fleet) for each in fleet.robot]
-    assert wanted == [set(), {"mavlink"}, {"can"}]
+    assert wanted == [set(), {"mavlink"}, {"can"}, {"tof"}]
     secured = SwarmConfig.model_validate({"hub": {"endpoint": "tls/10.0.0.1:7447"}})
-    assert [extras_needed(each, secured) for each in fleet.robot] == [{"keys"}, {"keys", "mavlink"}, {"keys", "can"}]
+    also = [extras_needed(each, secured) for each in fleet.robot]
+    assert also == [{"keys"}, {"keys", "mavlink"}, {"keys", "can"}, {"keys", "tof"}]
     manifest = Manifest(RELEASE, "1.0", Target("rpi-arm64", "aarch64", "2.28", "3.11"), ("can",))
     facts = Facts(arch="aarch64", glibc="2.36", python="3.11.2")
     assert misfit(manifest, facts, wanted[0]) == ""

@@ -23,6 +23,7 @@ from fullswarm.deploy.release.manifest import Manifest
 from fullswarm.deploy.release.packages import ONBOARD
 from fullswarm.deploy.release.store import gzipped_archive, plain_archive
 from fullswarm.drivers.make import make_of
+from fullswarm.drivers.ranges import extra_of
 from fullswarm.errors import ConfigError, MessageError
 from fullswarm.files import replace_file
 
@@ -37,11 +38,12 @@ GZIP_LEVEL = 6
 
 def extras_needed(robot: RobotConfig, config: SwarmConfig) -> frozenset[str]:
     """Return the extras that a release must have for the robot's agent to start, and to renew its certificate."""
-    secured = frozenset({"keys"} if is_secured(config.hub.endpoint) else ())
+    needed = {"keys"} if is_secured(config.hub.endpoint) else set()
+    always = frozenset(needed | ({extra_of(robot.ranges)} & ONBOARD.keys()))
     try:
-        return secured | frozenset({make_of(robot.url).extra} & ONBOARD.keys())
+        return always | frozenset({make_of(robot.url).extra} & ONBOARD.keys())
     except ConfigError:
-        return secured  # its package is on board only: brought by `bundle --package`
+        return always  # its package is on board only: brought by `bundle --package`
 
 
 def choose_release(

@@ -32,6 +32,7 @@ from fullswarm.errors import ConfigError, MissingExtra, Unreachable, did_you_mea
 ONBOARD: Mapping[str, str] = {
     **{each.extra: each.robots for each in built_in() if each.extra and not each.simulated},
     "gnss": 'a GNSS receiver on board, `fixes = "gnss:///dev/…"`',
+    "tof": 'time-of-flight sensors on board, `ranges = "vl53l1x:///dev/i2c-1?…"`',
     "core": "the behaviour `navigate` (brings SciPy and OSQP: 30 MB)",
     "keys": "a hub with certificates, `tls/…` (brings cryptography: 16 MB)",
 }

@@ -39,6 +39,11 @@ class LidarSensor:
         self._thread: threading.Thread | None = None
 
     @property
+    def max_m(self) -> float:
+        """How far it is believed."""
+        return self.settings.max_m
+
+    @property
     def trouble(self) -> str:
         """Why nothing is measured now, and what to do; empty: all is well."""
         label, where = self.settings.kind.label, self.settings.where
