@@ -3,10 +3,10 @@
 After ST's *VL53L1X Ultra Lite Driver* (STSW-IMG009, UM2510), which these sequences and tables are taken from; the
 register map itself is not published. Registers have 16 bit addresses and are big-endian. Distances are in mm.
 
-Why no library does this: ``adafruit-circuitpython-vl53l1x`` brings Blinka, 8 MB and a C extension, waits in its
+Why no library does this: ``adafruit-circuitpython-vl53l1x`` brings Blinka, 7 MB and a C extension, waits in its
 constructor for as long as the sensor does not answer, sets the centre of a narrowed region of interest to another
 place than ST does, and does not tell a sensor that sees nothing from one that has failed; ``VL53L1X`` has no wheels, so
-it cannot be put into a release. ``smbus2``, which makes the transfers, is 60 kB of Python.
+it cannot be put into a release. ``smbus2``, which makes the transfers, is one module of Python.
 """
 
 from __future__ import annotations
