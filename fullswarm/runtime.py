@@ -32,6 +32,9 @@ LONGEST_WAIT_S = 0.25
 AT_ONCE = 256
 """Messages that one call of :meth:`Runtime.serve_due` delivers at most."""
 
+WHILE_LATE = 16
+"""Messages that a loop delivers before overdue timers fire again: with one of them, more would come than go."""
+
 Handler = Callable[[Any], None]
 Item = tuple[Handler, Any, Handler]
 T = TypeVar("T")
@@ -78,6 +81,7 @@ class Mailbox:
         # Closed except while the runtime waits, so no foreign thread ever meets a node that is being built or busy.
         self._gate = threading.Lock()
         self._gate.acquire()
+        self._wanted = False  # by the runtime's thread: a lock is not fair, and a stream of messages would keep it out
 
     def put(self, handler: Handler, message: Any) -> None:
         """Have `handler` called with `message` on the runtime's thread. Any thread may put. Nothing is dropped."""
@@ -122,7 +126,7 @@ class Mailbox:
 
         What the handler raises is raised again on the runtime's thread.
         """
-        if not self._empty() or not self._gate.acquire(blocking=False):
+        if self._wanted or not self._empty() or not self._gate.acquire(blocking=False):
             return False
         try:
             if not self._empty():
@@ -153,7 +157,9 @@ class Mailbox:
                 try:
                     item = self._queue.get(timeout=timeout_s)
                 finally:
+                    self._wanted = True
                     self._gate.acquire()
+                    self._wanted = False
             else:
                 item = self._queue.get_nowait()
         except queue.Empty:
@@ -354,6 +360,7 @@ class Runtime:
                     # Messages first, but a flood of them must not starve a deadline.
                     if self.now_s() < due_s:
                         continue
+                    self.mailbox.drain(most=WHILE_LATE)
                 elif self.now_s() < due_s:
                     continue
                 if self.now_s() >= end_s:

@@ -25,7 +25,10 @@ from fullswarm.recent import Recent
 RESEND_S = 0.1
 RESEND_MAX_S = 0.5
 BEHIND_S = 0.5
-"""A report that contradicts an acknowledgement counts as older for this time, then as authoritative."""
+"""What a robot runs for another core, although it has acknowledged this one, is overdue after this time."""
+UNSEEN_S = 2.0
+"""An idle robot's report counts for this time as older than the newest acknowledgement, if no report before it agrees
+with that: on a loaded computer a report waits for longer than an acknowledgement does."""
 
 KNOWN_HALTS = 4
 """So many stops are sent with a request: the robot's newest is among them unless several crossed it."""
@@ -87,6 +90,7 @@ class Desired:
     resend_s: float = math.inf
     acked_sequence: int = 0  # highest sequence acknowledged
     acked_s: float = -math.inf
+    reported_sequence: int = 0  # highest sequence of this core that a report had
     halts: Recent[str, None] = field(default_factory=lambda: Recent(KNOWN_HALTS))  # of this robot, by their ids
     _maybe_active: str = field(default="", repr=False)  # an enable in flight when the order changed
 
@@ -188,7 +192,7 @@ class Desired:
         """
         if restarted:
             self._clear_in_flight()
-            self.acked_sequence = 0
+            self.acked_sequence = self.reported_sequence = 0
             self._maybe_active = ""
         result = health.result
         if result is not None and self.order is not None and result.request_id == self.order.request_id:
@@ -226,8 +230,11 @@ class Desired:
         """Tell whether the report was written before the robot acknowledged the newest request."""
         if restarted or not self.acked_sequence:
             return False
-        # An idle robot reports no sequence.
-        return health.sequence < self.acked_sequence and now_s - self.acked_s < BEHIND_S
+        if health.behaviour and health.core == self.core:
+            self.reported_sequence = max(self.reported_sequence, health.sequence)
+            return health.sequence < self.acked_sequence
+        # An idle robot reports no sequence. The reports of one process arrive in the order in which it sent them.
+        return self.reported_sequence < self.acked_sequence and now_s - self.acked_s < UNSEEN_S
 
     def _confirm(self, health: RobotHealth) -> None:
         """Use a report in place of a lost acknowledgement."""

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import itertools
 
-from fullswarm.core.desired import Desired, Order
+import pytest
+
+from fullswarm.core.desired import UNSEEN_S, Desired, Order
 from fullswarm.messages import ControlAck, ControlRequest, RobotHealth
+from fullswarm.reasons import Code
 
 
 def health(behaviour: str = "", request_id: str = "", sequence: int = 0) -> RobotHealth:
@@ -53,3 +56,42 @@ def test_reports_from_before_an_enable_do_not_end_the_disable_that_follows_it() 
     assert state.next(sequence) is None
     acknowledge(state, sent, 10.1)
     assert state.settled
+
+
+def running(behaviour: str = "flocking") -> tuple[Desired, ControlRequest]:
+    """Return a robot's state after it has acknowledged, at 10 s, an update of the behaviour that it ran before."""
+    numbers = itertools.count(1)
+    state = Desired("r1", "core-1", present=True)
+    requests: list[ControlRequest] = []
+    for request_id in ("old", "new"):
+        state.set_order(Order(request_id=request_id, behaviour=behaviour, law=behaviour), 9.0)
+        request = state.next(lambda: next(numbers))
+        assert request is not None
+        acknowledge(state, request, 10.0)
+        requests.append(request)
+    assert state.settled
+    return state, requests[-1]
+
+
+@pytest.mark.parametrize("late_s", [0.1, 0.6, 9.0])
+def test_a_report_that_is_later_than_the_acknowledgement_after_it_gives_no_request_twice(late_s: float) -> None:
+    """On a loaded computer reports wait for seconds while acknowledgements pass them."""
+    state, request = running()
+    late = health("flocking", "old", request.sequence - 1)
+    assert not state.compare(late, False, 10.0 + late_s)
+    assert state.next(lambda: 99) is None
+    assert state.settled
+
+
+def test_an_idle_robot_s_late_report_does_not_end_what_it_has_acknowledged_since() -> None:
+    state, request = running()
+    assert not state.compare(health(), False, 11.0)
+    assert state.settled
+    assert not state.compare(health("flocking", "new", request.sequence), False, 11.1)
+    assert state.compare(health(), False, 11.2).code == Code.DRIVER_STOPPED  # it is newer than the one that agreed
+
+
+def test_a_robot_that_has_stopped_by_itself_is_believed_although_its_report_before_was_lost() -> None:
+    state, _ = running()
+    assert not state.compare(health(), False, 10.0 + UNSEEN_S - 0.1)
+    assert state.compare(health(), False, 10.0 + UNSEEN_S + 0.1).code == Code.DRIVER_STOPPED

@@ -151,6 +151,49 @@ def test_nobody_runs_a_handler_while_the_runtime_is_busy_or_not_running() -> Non
     assert refused == [True, True, True]
 
 
+def test_a_stream_of_messages_that_others_run_does_not_keep_the_loop_out() -> None:
+    """Two threads bring one after the other; without a turn of its own the loop waits until they pause."""
+    mailbox = Mailbox()
+    runtime = Runtime(MonotonicClock(), mailbox)
+    stop, ran = threading.Event(), [0, 0]
+
+    def work(_: object) -> None:
+        sum(range(2000))
+
+    def bring(number: int) -> None:
+        while not stop.is_set():
+            ran[number] += mailbox.run_now(work, None)
+
+    bringers = [threading.Thread(target=bring, args=(number,)) for number in (0, 1)]
+    timer = runtime.every(0.01, lambda: None)
+    for each in bringers:
+        runtime.after(0.0, each.start)
+    runtime.run(2.0)
+    stop.set()
+    for each in bringers:
+        each.join()
+    assert sum(ran) > 100
+    assert timer.ticks > 50
+
+
+def test_a_loop_that_is_always_late_works_its_messages_off() -> None:
+    """Each tick takes two periods. With one message a tick, five hundred would take ten times as long."""
+    clock = Jumpy()
+    runtime = Runtime(clock)
+    done: list[int] = []
+
+    def tick() -> None:
+        clock.now += 0.02
+
+    timer = runtime.every(0.01, tick, first_s=0.0)
+    for number in range(500):
+        runtime.mailbox.put(done.append, number)
+    runtime.mailbox.put(lambda _: runtime.stop(), None)
+    runtime.run()
+    assert done == list(range(500))
+    assert 20 <= timer.ticks <= 60
+
+
 def test_an_urgent_message_does_not_overtake_one_that_waits() -> None:
     mailbox = Mailbox()
     mailbox.put(lambda _: None, None)

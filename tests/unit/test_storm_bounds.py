@@ -23,7 +23,7 @@ SMALL = 50
 STORM = 350
 MOST = 300
 """Entries of one container: twice what else is bounded at 64, 128 or 256, and what belongs to the swarm."""
-LARGER = ("_union", "cells", "grid")
+LARGER = ("_union", "cells", "grid", "_marks")
 """Grids of the arena: of the size that the first measurement states."""
 PLAIN = (str, bytes, int, float, bool, type(None), type, ModuleType, np.random.Generator)
 
