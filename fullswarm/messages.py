@@ -924,7 +924,7 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     behaviour: str = ""  # empty: none
     request_id: str = ""
     core: str = ""  # which core process gave `sequence`
-    sequence: Ordinal = 0  # of the newest control request accepted
+    sequence: Ordinal = 0  # of the control request that it runs; of an idle robot: of the newest that it has answered
     moving: bool = False
     estop: bool = False
     stop_reason: str = ""  # why it stands although a behaviour is enabled

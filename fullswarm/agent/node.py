@@ -217,7 +217,8 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
-            results=self.inbox.results, halts=self.inbox.halts, charging=self.inbox.charging,
+            results=self.inbox.results, halts=self.inbox.halts, answered=self.inbox.answered,
+            charging=self.inbox.charging,
             waiting=Waiting(state, self.tasks, self.filter, self.neighbours), message_note=self.exchange.note,
             settled_by=self.settling.rule,
             limits=np.column_stack([self.controller.speed_limit, self.controller.turn_limit, accel, extra]),

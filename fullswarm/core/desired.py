@@ -27,8 +27,8 @@ RESEND_MAX_S = 0.5
 BEHIND_S = 0.5
 """What a robot runs for another core, although it has acknowledged this one, is overdue after this time."""
 UNSEEN_S = 2.0
-"""An idle robot's report counts for this time as older than the newest acknowledgement, if no report before it agrees
-with that: on a loaded computer a report waits for longer than an acknowledgement does."""
+"""The report of a robot that names no request of this core counts for this time as older than its acknowledgement: on a
+loaded computer a report waits for longer than an acknowledgement does."""
 
 KNOWN_HALTS = 4
 """So many stops are sent with a request: the robot's newest is among them unless several crossed it."""
@@ -90,7 +90,6 @@ class Desired:
     resend_s: float = math.inf
     acked_sequence: int = 0  # highest sequence acknowledged
     acked_s: float = -math.inf
-    reported_sequence: int = 0  # highest sequence of this core that a report had
     halts: Recent[str, None] = field(default_factory=lambda: Recent(KNOWN_HALTS))  # of this robot, by their ids
     _maybe_active: str = field(default="", repr=False)  # an enable in flight when the order changed
 
@@ -192,7 +191,7 @@ class Desired:
         """
         if restarted:
             self._clear_in_flight()
-            self.acked_sequence = self.reported_sequence = 0
+            self.acked_sequence = 0
             self._maybe_active = ""
         result = health.result
         if result is not None and self.order is not None and result.request_id == self.order.request_id:
@@ -230,11 +229,10 @@ class Desired:
         """Tell whether the report was written before the robot acknowledged the newest request."""
         if restarted or not self.acked_sequence:
             return False
-        if health.behaviour and health.core == self.core:
-            self.reported_sequence = max(self.reported_sequence, health.sequence)
+        if health.core == self.core:
             return health.sequence < self.acked_sequence
-        # An idle robot reports no sequence. The reports of one process arrive in the order in which it sent them.
-        return self.reported_sequence < self.acked_sequence and now_s - self.acked_s < UNSEEN_S
+        # It has received nothing of this core yet, or what another one asked since.
+        return now_s - self.acked_s < UNSEEN_S
 
     def _confirm(self, health: RobotHealth) -> None:
         """Use a report in place of a lost acknowledgement."""

@@ -65,6 +65,7 @@ class Inbox:
     ended : why the last task of each robot was ended on board; false: it was not
     results : how it was ended by its own control law; None: it was not
     charging : interrupts tasks so that robots charge
+    answered : core and sequence of the newest control request that each robot has answered
     halts : the stop or e-stop since which each robot has started nothing; None: it has started something
     """
 
@@ -83,7 +84,7 @@ class Inbox:
         self._row = {robot: row for row, robot in enumerate(ids)}
         self._cores = Cores(config.core_silence_s)
         self._epochs = [CoreEpoch(self._cores) for _ in ids]
-        self._newest: list[tuple[str, int]] = [("", 0)] * len(ids)
+        self.answered: list[tuple[str, int]] = [("", 0)] * len(ids)
         self._answers: list[ControlAck | None] = [None] * len(ids)
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
         self._delays = [MessageDelay() for _ in ids]
@@ -134,14 +135,14 @@ class Inbox:
         if self._sent_before_halt(row, request):
             self._wake()  # the next report tells the core
             return
-        core, sequence = self._newest[row]
+        core, sequence = self.answered[row]
         if request.core == core and request.sequence <= sequence:
             # Delivered again: nothing changes, but the answer may have been lost.
             last = self._answers[row]
             if last and request.sequence == sequence:
                 self._bus.publish(self._keys.ack(request.robot), last)
             return
-        self._newest[row] = (request.core, request.sequence)
+        self.answered[row] = (request.core, request.sequence)
         why_not = self._apply(row, request)
         self._wake()  # the wheels before the answer
         self._answers[row] = answer = self._answer(row, request, why_not)

@@ -67,6 +67,7 @@ class Reports:
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
     results : (n,) how its control law has ended it; None: it has not
     halts : (n,) the stop since which it has started nothing; None: none
+    answered : (n,) core and sequence of the newest control request that it has answered
     settled_by : (n,) by which rule each has settled, 0: by none; see ``Settling``
     blocked : by robot, why its control law knows no way
     limits : (n, 5) what each can do: m/s, rad/s, m/s²; what a stop takes beyond that: m, s
@@ -78,13 +79,15 @@ class Reports:
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
         blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array, waiting: Waiting, settled_by: Index,
         message_note: Callable[[int], Reason],
-        results: Sequence[Result | None], halts: Sequence[Halt | None], charging: Charging,
+        results: Sequence[Result | None], halts: Sequence[Halt | None],
+        answered: Sequence[tuple[str, int]], charging: Charging,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._blocked, self._ended = law_error, blocked, ended
         self._settled_by, self._message_note = settled_by, message_note
         self._results, self._halts, self._charging = results, halts, charging
+        self._answered = answered
         self._waiting, self._now_s = waiting, -math.inf
         stated = np.minimum(limits, LARGEST_LIMITS)
         self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated[:, :3].T.tolist())
@@ -206,6 +209,7 @@ class Reports:
         for row, robot in enumerate(fleet.ids):
             task, description = self._tasks.asked(row), fleet.descriptions[row]
             request = task.request if task else NO_REQUEST
+            core, sequence = (request.core, request.sequence) if task else self._answered[row]
             pose = self._fixes.health(row, sensed[row])
             why, messages = self._why(row, reasons[row]), self._message_note(row)
             stated_m = stated[row] if pose.position_sigma_m < 0.0 else math.nan
@@ -218,8 +222,8 @@ class Reports:
                 lifecycle=str(fleet.lifecycle(row)),
                 behaviour=request.behaviour,
                 request_id=request.request_id,
-                core=request.core,
-                sequence=request.sequence,
+                core=core,
+                sequence=sequence,
                 moving=not standing[row],
                 estop=estops[row],
                 stop_reason=why.text,
