@@ -118,7 +118,7 @@ def test_a_removed_check_of_sequence_numbers_is_found(monkeypatch: pytest.Monkey
     checked: Callable[[Inbox, ControlRequest], None] = Inbox._on_control
 
     def unchecked(self: Inbox, request: ControlRequest) -> None:
-        self.answered = [("", 0)] * len(self._newest)
+        self.answered[:] = [("", 0)] * len(self.answered)
         checked(self, request)
 
     monkeypatch.setattr(Inbox, "_on_control", unchecked)
