@@ -16,6 +16,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from types import FrameType
@@ -75,6 +76,10 @@ class Mailbox:
         self.dropped: dict[str, int] = {}
         # None stands for one message of a lane, the first one there is when its turn comes.
         self._queue: queue.SimpleQueue[tuple[Handler, Any] | None] = queue.SimpleQueue()
+        # Rung by each put. `SimpleQueue.get` with a timeout never returns when the thread loses the processor for that
+        # long within it (CPython 3.11 to 3.12): loops froze on a loaded machine until the next message.
+        self._bell = threading.Lock()
+        self._bell.acquire()
         self._lanes: tuple[deque[Item], ...] = tuple(deque() for _ in Lane)
         self._waiting = 0
         self._count = threading.RLock()  # reentrant: a signal handler may put while its own thread puts
@@ -88,6 +93,12 @@ class Mailbox:
         with self._count:
             self._waiting += 1
         self._queue.put((handler, message))
+        self._ring()
+
+    def _ring(self) -> None:
+        if self._bell.locked():
+            with suppress(RuntimeError):  # another thread has rung it just now
+                self._bell.release()
         if self.on_put is not None:
             self.on_put()
 
@@ -113,8 +124,7 @@ class Mailbox:
             lost[2](lost[1])
         else:
             self._queue.put(None)
-        if self.on_put is not None:
-            self.on_put()
+        self._ring()
 
     def note_drop(self, cause: str) -> None:
         """Count a message that was dropped before it came here."""
@@ -150,18 +160,17 @@ class Mailbox:
         return count
 
     def deliver_one(self, timeout_s: float) -> bool:
-        """Wait up to `timeout_s` for one message and deliver it; False when none came."""
+        """Wait up to `timeout_s` for one message and deliver it; False when none came, perhaps sooner."""
+        if timeout_s > 0 and self._queue.empty():
+            self._gate.release()
+            try:
+                self._bell.acquire(timeout=timeout_s)
+            finally:
+                self._wanted = True
+                self._gate.acquire()
+                self._wanted = False
         try:
-            if timeout_s > 0:
-                self._gate.release()
-                try:
-                    item = self._queue.get(timeout=timeout_s)
-                finally:
-                    self._wanted = True
-                    self._gate.acquire()
-                    self._wanted = False
-            else:
-                item = self._queue.get_nowait()
+            item = self._queue.get_nowait()
         except queue.Empty:
             return False
         self._handle(item)

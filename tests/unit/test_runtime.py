@@ -151,6 +151,21 @@ def test_nobody_runs_a_handler_while_the_runtime_is_busy_or_not_running() -> Non
     assert refused == [True, True, True]
 
 
+def test_waiting_for_a_moment_always_ends() -> None:
+    """`SimpleQueue.get` with a timeout does not: a few thousand times are enough."""
+    mailbox, done = Mailbox(), threading.Event()
+
+    def wait_often() -> None:
+        for _ in range(20_000):
+            mailbox.put(lambda _: None, None)
+            for timeout_s in (1e-7, 1e-7, 1e-7):
+                mailbox.deliver_one(timeout_s)
+        done.set()
+
+    threading.Thread(target=wait_often, daemon=True).start()
+    assert done.wait(30.0)
+
+
 def test_a_stream_of_messages_that_others_run_does_not_keep_the_loop_out() -> None:
     """Two threads bring one after the other; without a turn of its own the loop waits until they pause."""
     mailbox = Mailbox()
