@@ -11,7 +11,7 @@ import msgspec
 
 from fullswarm.bus.base import Carried, Tap
 from fullswarm.bus.codec import decode
-from fullswarm.errors import MessageError
+from fullswarm.errors import ConfigError, MessageError
 from fullswarm.identity.access import TOPICS, Topic
 from fullswarm.keys import Keys
 from fullswarm.messages import CameraPicture, Message
@@ -104,10 +104,10 @@ class Recorder:
                 self._draw(self._scene.whole(now_s, now_ns), now_ns)
             self._flushes += 1
             self._recording.flush()
-        except OSError as error:
+        except (OSError, ConfigError) as error:  # also where the next file cannot be begun
             self._open, self.failed = False, True
             self._recording.abandon()
-            self._on_failure(f"the recording ends here: {error.strerror or error}")
+            self._on_failure(f"the recording ends here: {getattr(error, 'strerror', '') or error}")
 
     def close(self) -> None:
         """Write the rest and close the recording. Closing twice is fine."""

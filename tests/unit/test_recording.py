@@ -280,6 +280,17 @@ def test_a_full_disk_ends_the_recording_and_is_said_once(tmp_path: Path, monkeyp
     assert rig.recorder.failed
 
 
+def test_a_next_file_that_is_there_already_ends_the_recording_with_its_name(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.recording.limit_bytes = 1
+    (tmp_path / "run.2.mcap").touch()
+    rig.air.say("s/state/all/r1", states(1.0))
+    rig.runtime.run(5 * FLUSH_S)
+    assert len(rig.failures) == 1
+    assert "run.2.mcap: this file is there already" in rig.failures[0]
+    assert contents(rig.path).whole
+
+
 def test_logs_are_recorded_from_now_on_line_by_line(tmp_path: Path) -> None:
     logs = tmp_path / "logs"
     logs.mkdir()
