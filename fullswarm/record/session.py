@@ -95,7 +95,8 @@ def start(
         )
         if not with_parent:
             progress(f"recording swarm '{target.swarm}' to {path}; Ctrl-C or `fullswarm record stop` ends it")
-        with _announced(Running(os.getpid(), target.swarm, str(path.absolute()))):
+        found = Running(os.getpid(), target.swarm, str(path.absolute()))
+        with contextlib.nullcontext() if with_parent else _announced(found):  # that of `up` ends with `up`
             serve(runtime, [recorder], with_parent)
     finally:
         bus.close()

@@ -6,8 +6,9 @@ What is around the robot is an independent description: a round room and a wall,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -53,23 +54,27 @@ def bus(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return str(tmp_path / "tof") if request.param == "serial" else "127.0.0.1:0"
 
 
-def drive_until(fleet: OneRobot, condition: object, within_s: float = 5.0) -> FleetReading:
+def drive_until(fleet: OneRobot, condition: Callable[[], bool], within_s: float = 5.0) -> FleetReading:
     def turn() -> None:
         fleet.read()
         fleet.command(DRIVES, ON)
 
-    until(condition, within_s, lambda: fleet.fault(0) or str(distances(fleet)), each=turn)  # type: ignore[arg-type]
+    until(condition, within_s, lambda: fleet.fault(0) or str(distances(fleet)), each=turn)
     return fleet.read()
 
 
-def stands_and_drives_again(fleet: OneRobot, fault: str, mend: object) -> None:
+def stands_and_drives_again(fleet: OneRobot, fault: str, mend: Callable[[], object]) -> None:
     began_s = CLOCK.now_s()
     drive_until(fleet, lambda: fleet.lifecycle(0) is Lifecycle.FAULT)
     assert CLOCK.now_s() - began_s < 1.0
     drive_until(fleet, lambda: fault in fleet.fault(0))
     assert not fleet.command(DRIVES, ON).any()
-    mend()  # type: ignore[operator]
+    mend()
     drive_until(fleet, lambda: fleet.lifecycle(0) is Lifecycle.ACTIVE)
+
+
+def newer(fleet: OneRobot, stamp_s: float) -> bool:
+    return fleet.read().ranges[0][1].stamp_s > stamp_s
 
 
 def distances(fleet: OneRobot) -> list[float]:
@@ -135,7 +140,7 @@ def test_garbage_on_the_link_costs_single_measurements_and_shows_nothing_wrong(b
         while CLOCK.now_s() < end_s:
             sensors.garbage(b"\xa7R\x00\x00\xff\xa7R" + bytes(range(0x40, 0x70)))
             first_s = fleet.read().ranges[0][1].stamp_s
-            drive_until(fleet, lambda at_s=first_s: fleet.read().ranges[0][1].stamp_s > at_s)
+            drive_until(fleet, partial(newer, fleet, first_s))
             assert {round(each, 2) for each in distances(fleet) if math.isfinite(each)} <= true
         sensors.faults.corrupt = 0.0
         drive_until(fleet, lambda: fleet.lifecycle(0) is Lifecycle.ACTIVE)
