@@ -36,7 +36,8 @@ Further files:
 ``messages.py``    Every message on the wire: typed, versioned, immutable
 ``output.py``      stdout is data, stderr is progress
 ``reasons.py``     Why robots do not move and requests are refused: codes for programs, texts for people
-``record/``        Recordings of a live swarm: every message that an observer may receive, in MCAP files
+``record/``        Recordings of a swarm in MCAP files: all messages that an observer may receive; replay
+``journal/``       What the nodes of a process received and did, so that they can be run again on it
 ``recent.py``      A dict that keeps its newest entries
 ``memory.py``      Memory of a control law: arrays with one row per robot that are kept from call to call
 ``parameters.py``  Parameters of a request as a control law reads them

@@ -267,6 +267,11 @@ def _fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
+def is_compiled() -> bool:
+    """Tell whether kernels run in their compiled form here."""
+    return _compiled
+
+
 def compile_all() -> bool:
     """Compile all kernels, those of modules imported later included.
 

@@ -11,7 +11,7 @@ import contextlib
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import structlog
@@ -22,6 +22,9 @@ from fullswarm.messages import ParamEntry, Value
 
 Stored = Value | dict[str, object] | None
 """What a key may hold; None: nothing (any more)."""
+
+Rows = dict[str, list[tuple[object, ...]]]
+"""Table → its rows."""
 
 log = structlog.get_logger()
 
@@ -39,6 +42,8 @@ CREATE INDEX IF NOT EXISTS history_by_key ON history (key, change);
 CREATE TABLE IF NOT EXISTS entry (
     key TEXT PRIMARY KEY, value TEXT NOT NULL, author TEXT NOT NULL, changed REAL NOT NULL) WITHOUT ROWID;
 """
+
+TABLES = ("history", "entry")
 
 _FORGET = """
 DELETE FROM history WHERE key = ? AND change <= (
@@ -64,7 +69,7 @@ class Store:
 
     def __init__(self, path: Path | None = None, wall_s: Callable[[], float] = wall_time_s) -> None:
         self.path = path
-        self._wall_s = wall_s
+        self.wall_s = wall_s
         self._watchers: list[Callable[[ParamEntry], None]] = []
         # What `keep` and `forget` could not write yet: the newest value of each key and its author; no author: forget.
         self._unsaved: dict[str, tuple[Stored, str | None]] = {}
@@ -132,7 +137,7 @@ class Store:
         ConfigError
             A value is not JSON (NaN, infinity, an object), or the database cannot be written.
         """
-        now = self._wall_s()
+        now = self.wall_s()
         rows = [(key, _encode(key, value), author, now) for key, value in values.items()]
         try:
             self._db.execute("BEGIN IMMEDIATE")
@@ -236,6 +241,23 @@ class Store:
         if changed:
             self.set_many(changed, author)
         return tuple(changed)
+
+    def dump(self) -> Rows:
+        """Return all rows of all tables, for `restore`."""
+        try:
+            return {table: self._db.execute(f"SELECT * FROM {table}").fetchall() for table in TABLES}  # noqa: S608
+        except sqlite3.Error as error:
+            raise self._explain(error) from error
+
+    def restore(self, rows: Mapping[str, Iterable[Sequence[object]]]) -> None:
+        """Put the rows of a `dump` into this store, which is new. Raises `ConfigError` where they are none."""
+        try:
+            for table in TABLES:
+                for row in rows.get(table, ()):
+                    places = ", ".join("?" for _ in row)
+                    self._db.execute(f"INSERT INTO {table} VALUES ({places})", tuple(row))  # noqa: S608
+        except sqlite3.Error as error:
+            raise self._explain(error) from error
 
     def watch(self, callback: Callable[[ParamEntry], None]) -> Callable[[], None]:
         """Have `callback` called after every change; call what is returned to end that."""

@@ -320,6 +320,15 @@ def files_of(folder: Path) -> list[Path]:
     return sorted(path for path in folder.glob(f"*{SUFFIX}") if path.stem.isdecimal())
 
 
+def newest_entry(folder: Path) -> tuple[str, bytes]:
+    """Return name and last line of a log's newest file; empty where there is none, or it cannot be read."""
+    try:
+        path = files_of(folder)[-1]
+        return path.name, path.read_bytes().splitlines(keepends=True)[-1]
+    except (OSError, IndexError):
+        return "", b""
+
+
 def _last_entry(data: bytes) -> Head:
     for line in reversed(data.splitlines()):
         head = _head(line)

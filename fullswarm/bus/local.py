@@ -44,11 +44,18 @@ class LocalBus:
         self._subscriptions: list[_Subscription] = []
         self._routes: dict[str, tuple[_Subscription, ...]] = {}
         self._closed = False
+        self._onlooker: Callable[[str, Message, str], None] | None = None
+
+    def show(self, onlooker: Callable[[str, Message, str], None]) -> None:
+        """Call `onlooker` with key, message and sender of each message, when it is published."""
+        self._onlooker = onlooker
 
     def publish(self, key: str, message: Message, *, sender: str = "") -> None:
         """Put `message` into the mailbox once per matching subscription, in the order of subscribing."""
         if self._closed:
             return
+        if self._onlooker is not None:
+            self._onlooker(key, message, sender)
         route = self._routes.get(key)
         if route is None:
             if len(self._routes) >= CACHED_KEYS:

@@ -22,6 +22,7 @@ from fullswarm.cli.options import Json, shell_command
 from fullswarm.cli.params import params_app
 from fullswarm.cli.record import record_app
 from fullswarm.cli.rehearse import rehearse
+from fullswarm.cli.replay import replay
 from fullswarm.cli.results import results_app
 from fullswarm.cli.scenario import scenario_app
 from fullswarm.cli.signing import signing_app
@@ -59,6 +60,7 @@ for group, name, text in (
 ):
     app.add_typer(group, name=name, rich_help_panel=EVALUATE, help=text)
 app.command(rich_help_panel=EVALUATE)(rehearse)
+app.command(rich_help_panel=EVALUATE)(replay)
 for command in (
     bundle.bundle, deploy.deploy, deploy.update, deploy.rollback, deploy.logs, deploy.shell,
     deploy.reboot, deploy.fleet, flash.flash,
@@ -98,6 +100,10 @@ Network = Annotated[
 ]
 
 
+Record = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.mcap", help="Record the whole run for viewers and for `fullswarm replay`."),
+]
 Reload = Annotated[
     bool,
     typer.Option(
@@ -160,6 +166,7 @@ def demo(
     network: Network = None,
     overrides: Overrides = None,
     reload: Reload = False,
+    record: Record = None,
 ) -> int:
     """Run eight simulated robots that drive to a goal, flock and meet; your first request ends the demo."""
     from fullswarm.demo import run as show
@@ -168,11 +175,11 @@ def demo(
     if reload and lockstep:
         raise ConfigError("--reload and --lockstep exclude each other", hint="leave --lockstep out")
     if lockstep:
-        return show.run_lockstep(config, seconds, seed, as_json)
+        return show.run_lockstep(config, seconds, seed, as_json, record)
     from fullswarm.demo.live import DemoOptions, run_live
 
     return run_live(
-        config, DemoOptions(seconds, as_json, headless, console, stay, open_browser, _developed(reload, fleet))
+        config, DemoOptions(seconds, as_json, headless, console, stay, open_browser, _developed(reload, fleet), record)
     )
 
 
@@ -186,9 +193,7 @@ def up(
     overrides: Overrides = None,
     network: Network = None,
     console: Annotated[bool, typer.Option("--console", help="Serve the web console too; print its address.")] = False,
-    record: Annotated[
-        Path | None, typer.Option(metavar="FILE.mcap", help="Record the whole run, as `fullswarm record start` does.")
-    ] = None,
+    record: Record = None,
     insecure_network: Insecure = False,
     reload: Reload = False,
 ) -> int:

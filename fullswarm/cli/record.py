@@ -41,7 +41,7 @@ def start(
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> int:
     """Record every message of a live swarm until Ctrl-C."""
-    _check()
+    check_extra()
     from fullswarm.record.session import start as run
 
     return run(target, out, fleet, limit_mb, keep, with_parent)
@@ -51,7 +51,7 @@ def start(
 @shell_command()
 def stop(swarm: Swarm = "swarm") -> int:
     """End the recordings of a swarm that run on this computer."""
-    _check()
+    check_extra()
     from fullswarm.record.session import stop as run
 
     return run(swarm)
@@ -61,7 +61,7 @@ def stop(swarm: Swarm = "swarm") -> int:
 @shell_command()
 def info(file: File, as_json: Json = False) -> int:
     """Say what a recording holds; exit code 1: it was cut off, see `repair`."""
-    _check()
+    check_extra()
     from fullswarm.record.reading import contents
 
     found = contents(file)
@@ -81,7 +81,7 @@ def repair(
     ] = None,
 ) -> int:
     """Write what can be read of a recording that was cut off into a new file, with its index."""
-    _check()
+    check_extra()
     from fullswarm.record.reading import repair as run
 
     target = out or file.with_name(f"{file.stem}.repaired{file.suffix}")
@@ -90,7 +90,7 @@ def repair(
     return 0
 
 
-def _check() -> None:
+def check_extra() -> None:
     """Raise `MissingExtra` where recordings can neither be written nor read."""
     import importlib.util
 
@@ -125,7 +125,7 @@ def _print(found: Contents) -> None:
     lost = {name: count for name, count in found.about.get("fullswarm.end", {}).items() if count != "0"}
     if lost:
         output.data("not recorded: " + ", ".join(f"{count} {name}" for name, count in lost.items()))
-    table = output.plain_table("topic", "schema", "messages", numbers=("messages",))
+    table = output.plain_table("topic", "schema", numbers=("messages",))
     for (topic, schema), count in sorted(found.topics.items()):
         table.add_row(topic, schema, str(count))
     output.data_table(table, into_file=120)

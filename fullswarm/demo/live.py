@@ -22,6 +22,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch import reload
 from fullswarm.launch.network import on_free_ports, on_network
 from fullswarm.launch.supervisor import Supervisor
+from fullswarm.launch.up import add_recorder, check_record
 from fullswarm.launch.web_console import INSTALL, WebConsole, graphical, missing_extra, open_browser
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console.serve import OPEN_S, RedirectPage
@@ -58,6 +59,7 @@ class DemoOptions:
     stay: bool | None = None
     open_browser: bool | None = None
     develop: Path | None = None
+    record: Path | None = None
 
     def settled(self, terminal: bool, screen: bool) -> DemoOptions:
         """Return it with each None decided: whether there is a `terminal`, and a `screen` for a browser."""
@@ -79,6 +81,8 @@ class LiveDemo:
         self.supervisor = Supervisor(config, self.runtime, develop=options.develop)
         if options.develop is not None:
             reload.watch(options.develop, self.runtime)
+        if options.record is not None:
+            add_recorder(self.supervisor, options.record)
         self.console: WebConsole | None = None
         self._redirect: RedirectPage | None = None
         if options.console:
@@ -193,7 +197,11 @@ def run_live(config: SwarmConfig, options: DemoOptions) -> int:
     ------
     Unreachable
         The swarm did not become ready.
+    ConfigError, MissingExtra
+        It is to be recorded, and cannot be.
     """
+    if options.record is not None:
+        check_record(options.record)
     demo = LiveDemo(config, options.settled(terminal=sys.stdout.isatty(), screen=graphical()))
     try:
         return demo.run()

@@ -34,7 +34,7 @@ def demo_config(fleet: Path | None, overrides: tuple[str, ...], network: str | N
     return with_network(load_fleet(named or fleet or DEMO_FILE, overrides, here=True, check=start_problems), network)
 
 
-def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) -> int:
+def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool, record: Path | None = None) -> int:
     """Run the show on a simulated clock; the JSON of two runs with one seed is the same to the byte."""
     from fullswarm.launch.lockstep import Lockstep
 
@@ -42,7 +42,19 @@ def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) 
         progress("in lockstep emulated robots run as simulated ones: ports and firmware live on the wall clock")
     world = config.world_or_default.model_copy(update={"seed": seed})
     section = config.network.model_copy(update={"seed": seed})
-    lockstep = Lockstep(config.model_copy(update={"world": world, "network": section}))
+    recorder = None
+    if record is not None:
+        from fullswarm.launch.up import check_record
+
+        check_record(record)
+        from fullswarm.record.lockstep import LockstepRecorder
+
+        recorder = LockstepRecorder(record, config.swarm, on_failure=progress)
+    lockstep = Lockstep(
+        config.model_copy(update={"world": world, "network": section}), recorder.begin if recorder else None
+    )
+    if recorder is not None:
+        recorder.record(lockstep)
     bus = lockstep.bus_of(OPERATOR)
     numbers = itertools.count(1)
     keys = Keys(config.swarm)
@@ -57,6 +69,9 @@ def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) 
         return report(show, as_json, None)
     finally:
         lockstep.close()
+        if recorder is not None:
+            recorder.close()
+            progress(f"{record}: {recorder.messages} messages")
 
 
 def report(show: Show, as_json: bool, real_time_factor: float | None) -> int:

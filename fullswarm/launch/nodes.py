@@ -7,16 +7,20 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+import structlog
 
-from fullswarm.bus.base import Bus, SenderBus
+from fullswarm.bus.base import CENTRALISED, CORE, Bus, SenderBus
 from fullswarm.clock import wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet
+from fullswarm.files import MACHINE_DISK, Disk
 from fullswarm.keys import Keys
+from fullswarm.reasons import Reason
 from fullswarm.runtime import LoopStats, Scheduler
 
 if TYPE_CHECKING:
@@ -25,6 +29,8 @@ if TYPE_CHECKING:
     from fullswarm.core.centralised.node import CentralisedNode
     from fullswarm.store import Store
 
+log = structlog.get_logger()
+
 
 class Node(Protocol):
     """Anything with an end."""
@@ -32,6 +38,18 @@ class Node(Protocol):
     def close(self) -> None:
         """End it in order."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class AgentPorts:
+    """What an agent's nodes use of the world around them."""
+
+    bus: SenderBus
+    scheduler: Scheduler
+    fleet: Fleet
+    loop: Callable[[], LoopStats]
+    wall_s: Callable[[], float] = wall_time_s
+    disk: Disk = MACHINE_DISK
 
 
 def process_id(name: str) -> str:
@@ -103,6 +121,73 @@ def agent(
     poses = {each.id: each.pose for each in config.robot}
     start = np.array([poses.get(robot) or (0.0, 0.0, 0.0) for robot in fleet.ids], float)
     return AgentNode(bus, scheduler, config, fleet, identity, start, loop, wall_s=wall_s)
+
+
+def agent_process(
+    ports: AgentPorts, config: SwarmConfig, identity: Identity, latches: Path | None = None, clock: str = ""
+) -> list[Node]:
+    """Build all nodes of an agent's process that have a part in what its robots do.
+
+    Parameters
+    ----------
+    latches : folder for latches and stops, on a live process; None: there is no other process to be told of
+    clock : name of the process's clock, see :class:`~fullswarm.agent.orders.estops.LatchFolder`
+    """
+    from fullswarm.agent.orders.estops import LatchFolder
+    from fullswarm.bus.versions import VersionWatch
+
+    node = agent(ports.bus, ports.scheduler, config, ports.fleet, identity, ports.loop, ports.wall_s)
+    if latches is None:
+        return [node]
+    node.inbox.remember_latches(LatchFolder(latches, clock, ports.disk))
+
+    def note(why: Reason) -> None:
+        log_versions(why)
+        node.pose_conflicts.other_version = why
+
+    return [node, VersionWatch(ports.bus, Keys(config.swarm), ports.scheduler, identity.host, note)]
+
+
+def centralised_process(
+    bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str, *, watch: bool
+) -> list[Node]:
+    """Build the nodes of the process of centralised behaviours; `watch`: look for processes of another version."""
+    from fullswarm.bus.versions import VersionWatch
+
+    node: Node = centralised(bus, scheduler, config, process)
+    return [node, *([VersionWatch(bus, Keys(config.swarm), scheduler, CENTRALISED, log_versions)] if watch else [])]
+
+
+def core_process(
+    bus: SenderBus,
+    scheduler: Scheduler,
+    config: SwarmConfig,
+    process: str,
+    wall_s: Callable[[], float] = wall_time_s,
+    *,
+    watch: bool,
+    audit: Path | None = None,
+    store: Store | None = None,
+) -> list[Node]:
+    """Build the nodes of the core's process; parameters as of :func:`core` and :func:`centralised_process`."""
+    from fullswarm.bus.versions import VersionWatch
+    from fullswarm.core.node import CoreNode
+
+    built = core(bus, scheduler, config, process, wall_s, audit=audit, store=store)
+    if watch:
+        node = next(each for each in built if isinstance(each, CoreNode))
+        found = VersionWatch(bus, Keys(config.swarm), scheduler, CORE, log_versions)
+        node.controller.version_problem = found.problem_of
+        built.append(found)
+    return built
+
+
+def log_versions(why: Reason) -> None:
+    """Log that a process of another version is there, or is gone."""
+    if why:
+        log.warning("another version", reason=why.text)
+    else:
+        log.info("all processes are of one version")
 
 
 def start_poses(

@@ -26,7 +26,6 @@ from fullswarm.keys import Keys
 from fullswarm.launch.liveness import report_alive
 from fullswarm.launch.nodes import Node, process_id
 from fullswarm.output import INTERRUPTED
-from fullswarm.reasons import Reason
 from fullswarm.runtime import Mailbox, Runtime
 
 if TYPE_CHECKING:
@@ -164,20 +163,27 @@ def _content(path: Path) -> bytes | None:
 
 def core(config: SwarmConfig, with_parent: bool) -> int:
     """Serve as the core."""
-    from fullswarm.bus.versions import VersionWatch
-    from fullswarm.core.node import CoreNode
     from fullswarm.core.settings import record_seeds
-    from fullswarm.launch import nodes, reload
+    from fullswarm.launch import journals, nodes, reload
     from fullswarm.store import Store
 
     def build(bus: SenderBus, runtime: Runtime) -> list[Node]:
-        built = nodes.core(bus, runtime, config, process_id("core"), audit=audit_folder(config))
-        node = next(each for each in built if isinstance(each, CoreNode))
-        watch = VersionWatch(bus, Keys(config.swarm), runtime, CORE, log_versions)
-        node.controller.version_problem = watch.problem_of
-        built.append(watch)
+        process, audit = process_id(CORE), audit_folder(config)
+        store = Store(config.core.store)
+        live = journals.begin_live(
+            runtime, process, lambda: journals.core_head(config, process, store, audit, watch=True)
+        )
+        journal = live.journal if live else None
+        given = journals.given(bus, runtime, journal)
+        store.wall_s = given.wall_s
+
+        def make() -> list[Node]:
+            return nodes.core_process(
+                given.bus, given.scheduler, config, process, given.wall_s, audit=audit, store=store, watch=True
+            )
+
+        built = [*([live] if live else []), *journals.built(make, journal)]
         if reload.wanted():
-            store = next(each for each in built if isinstance(each, Store))
             report = reload.reporter(bus, Keys(config.swarm), CORE)
             built.append(reload.RecordReloader(runtime, lambda: store.seed(record_seeds()), report))
         return built
@@ -187,17 +193,26 @@ def core(config: SwarmConfig, with_parent: bool) -> int:
 
 def centralised(config: SwarmConfig, with_parent: bool) -> int:
     """Serve the centralised behaviours."""
-    from fullswarm.bus.versions import VersionWatch
-    from fullswarm.launch import nodes, reload
+    from fullswarm.core.centralised.node import CentralisedNode
+    from fullswarm.launch import journals, nodes, reload
 
-    def build(bus: Bus, runtime: Runtime) -> list[Node]:
-        node = nodes.centralised(bus, runtime, config, process_id("centralised"))
-        watch = VersionWatch(bus, Keys(config.swarm), runtime, CENTRALISED, log_versions)
-        if not reload.wanted():
-            return [node, watch]
-        report = reload.reporter(bus, Keys(config.swarm), CENTRALISED)
-        laws = reload.LawReloader(runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP), report)
-        return [node, watch, laws]
+    def build(bus: SenderBus, runtime: Runtime) -> list[Node]:
+        process = process_id(CENTRALISED)
+        live = journals.begin_live(runtime, process, lambda: journals.head_of(CENTRALISED, process, config, watch=True))
+        journal = live.journal if live else None
+        given = journals.given(bus, runtime, journal)
+        found: list[Node] = []
+
+        def make() -> list[Node]:
+            found.extend(nodes.centralised_process(given.bus, given.scheduler, config, process, watch=True))
+            return found
+
+        built = [*([live] if live else []), *journals.built(make, journal)]
+        if reload.wanted():
+            report = reload.reporter(bus, Keys(config.swarm), CENTRALISED)
+            node = next(each for each in found if isinstance(each, CentralisedNode))
+            built.append(reload.LawReloader(runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP), report))
+        return built
 
     return serve_on_bus(config, with_parent, build, CENTRALISED)
 
@@ -215,13 +230,12 @@ def agent(
     sensors
         Makes the nodes that read sensors on board which the driver does not have, such as a GNSS receiver.
     """
-    from fullswarm.agent.orders.estops import LatchFolder
+    from fullswarm.agent.node import AgentNode
     from fullswarm.agent.orders.tasks import read_records_again
     from fullswarm.agent.state import Identity
-    from fullswarm.bus.versions import VersionWatch
     from fullswarm.drivers.fleet import OneRobot
     from fullswarm.drivers.guardian import guarded
-    from fullswarm.launch import nodes, reload
+    from fullswarm.launch import journals, nodes, reload
     from fullswarm.launch.on_board import OnBoard
 
     entry = _entry(config, robot)
@@ -229,27 +243,36 @@ def agent(
     url = driver_url(config, entry)
     fleet = OneRobot(robot, guarded(registry.driver_class(url)(url)), sensor=_range_sensor(entry))
 
-    def build(bus: Bus, runtime: Runtime) -> list[Node]:
-        identity = Identity(robot, process_id(robot))
+    def build(bus: SenderBus, runtime: Runtime) -> list[Node]:
+        process, latches, clock = process_id(robot), latch_folder(config, entry), clock_id()
         board = OnBoard.from_environment(runtime, config.agent)
-        node = nodes.agent(bus, board or runtime, config, fleet, identity, runtime.stats)
-        node.inbox.remember_latches(LatchFolder(latch_folder(config, entry), clock_id()))
+        given = nodes.AgentPorts(bus, board or runtime, fleet, runtime.stats)
+        live = journals.begin_live(
+            runtime, process, lambda: journals.agent_head(config, fleet, robot, process, latches, clock)
+        )
+        journal = live.journal if live else None
+        if journal:
+            given = journals.noted(given, journal)
+        found: list[Node] = []
 
-        def note(why: Reason) -> None:
-            log_versions(why)
-            node.pose_conflicts.other_version = why
+        def make() -> list[Node]:
+            found.extend(nodes.agent_process(given, config, Identity(robot, process), latches, clock))
+            return found
 
-        watch = VersionWatch(bus, Keys(config.swarm), runtime, robot, note)
+        built = [*([live] if live else []), *journals.built(make, journal)]
+        node = next(each for each in found if isinstance(each, AgentNode))
         more = list(sensors(bus, runtime))
         if board:
-            return [node, watch, board.watch(node), *more]
-        if not reload.wanted():
-            return [node, watch, *more]
-        report = reload.reporter(bus, Keys(config.swarm), robot)
-        laws = reload.LawReloader(
-            runtime, reload.RobotsOf(node), lambda: registry.loaded(registry.BEHAVIOUR_GROUP), report
-        )
-        return [node, watch, laws, reload.RecordReloader(runtime, read_records_again, report), *more]
+            return [*built, board.watch(node), *more]
+        if reload.wanted():
+            report = reload.reporter(bus, Keys(config.swarm), robot)
+            built.append(
+                reload.LawReloader(
+                    runtime, reload.RobotsOf(node), lambda: registry.loaded(registry.BEHAVIOUR_GROUP), report
+                )
+            )
+            built.append(reload.RecordReloader(runtime, read_records_again, report))
+        return [*built, *more]
 
     return serve_on_bus(config, with_parent, build, robot)
 
@@ -274,14 +297,6 @@ def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int
         return [node, node.supervise(config.bounds_m, config.performance.coverage_cell_m)]
 
     return serve_on_bus(config, with_parent, build, WORLD)
-
-
-def log_versions(why: Reason) -> None:
-    """Log that a process of another version is there, or is gone."""
-    if why:
-        log.warning("another version", reason=why.text)
-    else:
-        log.info("all processes are of one version")
 
 
 def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:

@@ -27,6 +27,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.config.fleet_file import write_swarm
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
+from fullswarm.launch.journals import FOLDER as JOURNALS
 from fullswarm.launch.liveness import ALIVE, AlivePipe
 from fullswarm.launch.processes import PARENT, RUN
 from fullswarm.launch.run_folder import RunFolder, bound_log
@@ -113,6 +114,7 @@ class Supervisor:
     restart : start a process again when it has died
     world : start the world, if the fleet has simulated robots
     develop : folder of a package under development: its laws and records are loaded again when they change
+    journals : folder for the journals of the processes, see :mod:`fullswarm.launch.journals`; None: there are none
     """
 
     config: SwarmConfig
@@ -121,6 +123,7 @@ class Supervisor:
     world: bool = True
     insecure_network: bool = False
     develop: Path | None = None
+    journals: Path | None = None
     children: dict[str, Child] = field(default_factory=dict)
     _reports: tuple[Bus, str, str] | None = None  # bus, key, host
     _reported_s: float = -REPORT_S
@@ -291,6 +294,8 @@ class Supervisor:
         found = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid()), RUN: str(self.folder)}
         if self.develop is not None:
             found[registry.DEVELOP] = str(self.develop)
+        if self.journals is not None:
+            found[JOURNALS] = str(self.journals)
         return found
 
     def _make_spare(self) -> None:

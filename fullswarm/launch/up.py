@@ -15,6 +15,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch import reload
+from fullswarm.launch.journals import journal_folder
 from fullswarm.launch.network import with_network
 from fullswarm.launch.processes import usual_audit_folder
 from fullswarm.launch.spare import FLEET
@@ -56,6 +57,8 @@ def check_record(record: Path) -> None:
 def add_recorder(supervisor: Supervisor, record: Path) -> None:
     """Have the supervisor's swarm recorded from its start to its end; before `Supervisor.start`."""
     config = supervisor.config
+    supervisor.journals = journal_folder(supervisor.folder)
+    supervisor.journals.mkdir(mode=0o700)
     supervisor.add(
         RECORDER, "record", "start", "--out", str(record.absolute()), "--hub", config.hub.endpoint,
         "--swarm", config.swarm, "--fleet", str(supervisor.folder / FLEET), guest=True,

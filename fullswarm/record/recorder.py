@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,6 +13,7 @@ from fullswarm.bus.base import Carried, Tap
 from fullswarm.bus.codec import decode
 from fullswarm.errors import ConfigError, MessageError
 from fullswarm.identity.access import TOPICS, Topic
+from fullswarm.journal.journal import JournalTail
 from fullswarm.keys import Keys
 from fullswarm.messages import CameraPicture, Message
 from fullswarm.record.recording import Recording, Schema
@@ -24,6 +25,10 @@ FLUSH_S = 0.25
 SCENE_EVERY = 4
 """Flushes from one whole scene to the next."""
 LONGEST_LINE = 2000
+JOURNAL, JOURNAL_TYPE = "journal", "application/vnd.fullswarm.journal"
+"""Name and media type of attachments with blocks of journals: MessagePack, a list of process and compressed block."""
+JOURNAL_BYTES = 1_000_000
+"""Of one process at one flush, at most."""
 LOG_BYTES = 65_536
 """Of one log at one flush, at most: a process that floods its log must not delay the recording."""
 
@@ -36,6 +41,20 @@ class TapBus(Protocol):
         ...
 
 
+Journals = Callable[[], Iterable[tuple[str, bytes]]]
+
+
+def no_journals() -> Iterable[tuple[str, bytes]]:
+    """Return none: the processes write none, or run elsewhere."""
+    return ()
+
+
+def journals_in(folder: Path) -> Journals:
+    """Return what reads the journals that processes write into a folder."""
+    tail = JournalTail(folder)
+    return lambda: tail.read(JOURNAL_BYTES)
+
+
 class Recorder:
     """Writes what it receives into a recording, which it owns from here on.
 
@@ -44,6 +63,7 @@ class Recorder:
     start_ns : nanoseconds since 1970 now
     logs : folder of the processes' logs, if they run on this machine
     on_failure : called once when nothing can be written any more, with the reason
+    journals : returns the processes' newest journal blocks, compressed, for replay
 
     Attributes
     ----------
@@ -60,11 +80,12 @@ class Recorder:
         start_ns: int,
         logs: Path | None = None,
         on_failure: Callable[[str], None] = lambda _: None,
+        journals: Journals = no_journals,
     ) -> None:
         self._swarm, self._scheduler, self._recording = keys.swarm, scheduler, recording
         self._start_ns, self._start_s = start_ns, scheduler.now_s()
         self._on_failure = on_failure
-        self._scene, self._logs = Scene(), LogTail(logs)
+        self._scene, self._logs, self._journals = Scene(), LogTail(logs), journals
         self._schemas = {kind: _schema(kind) for topic in TOPICS for kind in topic.messages}
         self.strange, self.failed, self._flushes, self._open = 0, False, 0, True
         self._topics = [topic for topic in TOPICS if "observer" in topic.receive]
@@ -100,6 +121,8 @@ class Recorder:
                 self._take(carried)
             for process, line in self._logs.read():
                 self._draw(log_line(process, line, now_ns), now_ns)
+            if blocks := list(self._journals()):
+                self._recording.attach(JOURNAL, JOURNAL_TYPE, now_ns, msgspec.msgpack.encode(blocks))
             if self._flushes % SCENE_EVERY == 0:
                 self._draw(self._scene.whole(now_s, now_ns), now_ns)
             self._flushes += 1

@@ -124,6 +124,11 @@ class Recording:
             if self.keep and number > self.keep:
                 self.files[number - 1 - self.keep].unlink(missing_ok=True)
 
+    def attach(self, name: str, media_type: str, time_ns: int, data: bytes) -> None:
+        """Add an attachment to the present file, which is on the disk after the next `flush`."""
+        if self._writer is not None:
+            self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
+
     def note(self, name: str, values: Mapping[str, str]) -> None:
         """Add metadata ``fullswarm.<name>`` to the present file. Raises `OSError` as `flush` does."""
         if self._writer is not None:

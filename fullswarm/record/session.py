@@ -24,10 +24,11 @@ from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
+from fullswarm.launch.journals import code_hash, journal_folder
 from fullswarm.launch.processes import RUN, serve, state_folder
 from fullswarm.operator.session import CONNECT_S, Target
 from fullswarm.output import progress
-from fullswarm.record.recorder import Recorder
+from fullswarm.record.recorder import Recorder, journals_in, no_journals
 from fullswarm.record.recording import Attachment, Recording
 from fullswarm.runtime import Mailbox, Runtime
 
@@ -82,7 +83,7 @@ def start(
         began_s = wall_time_s()
         path = out or Path(f"{target.swarm}-{datetime.fromtimestamp(began_s).astimezone():%Y%m%d-%H%M%S}.mcap")
         path = _free(path) if with_parent else path  # after a crash the recording goes on in another file
-        recording = Recording(path, _about(target.swarm), attachments, round(limit_mb * MB), keep)
+        recording = Recording(path, about(target.swarm), attachments, round(limit_mb * MB), keep)
         run = os.environ.get(RUN, "") if with_parent else ""
         recorder = Recorder(
             bus,
@@ -92,6 +93,7 @@ def start(
             round(1e9 * began_s),
             Path(run) if run else None,
             lambda problem: _fail(problem, path, runtime),
+            journals_in(journal_folder(Path(run))) if run else no_journals,
         )
         if not with_parent:
             progress(f"recording swarm '{target.swarm}' to {path}; Ctrl-C or `fullswarm record stop` ends it")
@@ -180,8 +182,10 @@ def _attached(fleet: Path) -> Attachment:
         raise ConfigError(f"cannot be read: {error.strerror}", where=str(fleet)) from None
 
 
-def _about(swarm: str) -> dict[str, str]:
-    return {"swarm": swarm, "python": platform.python_version(), "system": f"{platform.system()} {platform.machine()}"}
+def about(swarm: str) -> dict[str, str]:
+    """Return what a recording says of itself: swarm, versions, the code."""
+    system = f"{platform.system()} {platform.machine()}"
+    return {"swarm": swarm, "python": platform.python_version(), "system": system, "code": code_hash()}
 
 
 def _fail(problem: str, path: Path, runtime: Runtime) -> None:

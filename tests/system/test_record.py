@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from mcap.reader import make_reader
 
@@ -50,11 +52,12 @@ class Up:
             stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
 
-    def ready(self) -> bool:
+    def lifecycles(self) -> list[str]:
         found = fullswarm("status", *self.hub, "--json")
-        if found.returncode:
-            return False
-        return [each.get("lifecycle") for each in json.loads(found.stdout)["robots"]] == ["READY", "READY"]
+        return [] if found.returncode else [each.get("lifecycle") for each in json.loads(found.stdout)["robots"]]
+
+    def ready(self) -> bool:
+        return self.lifecycles() == ["READY", "READY"]
 
     def close(self) -> str:
         if self.process.poll() is None:
@@ -88,6 +91,16 @@ def start(up: Up, path: Path) -> subprocess.Popen[str]:
     )  # fmt: skip
     until(lambda: path.exists() and path.stat().st_size > 10_000, 60.0, "something is recorded")
     return process
+
+
+def agents(up: Up, robot: str) -> list[psutil.Process]:
+    """Return the processes of this `up` that are the agent of a robot."""
+    found = []
+    for each in psutil.Process(up.process.pid).children():
+        with contextlib.suppress(psutil.Error):  # it has just ended
+            if f"fullswarm agent {robot} " in " ".join(each.cmdline()):
+                found.append(each)
+    return found
 
 
 def test_a_recorder_that_is_killed_has_lost_less_than_a_second(up: Up, tmp_path: Path) -> None:
@@ -128,6 +141,10 @@ def test_a_run_is_recorded_from_its_start_to_its_end(tmp_path: Path) -> None:
     until(up.ready, 90.0, "the swarm is ready")
     asked = fullswarm("request", "rendezvous", *up.hub)
     assert asked.returncode == 0, asked.stderr
+    (agent,) = agents(up, "r2")
+    agent.kill()
+    until(lambda: agents(up, "r2") not in ([], [agent]), 30.0, "the agent is started again")
+    until(lambda: up.lifecycles()[1:] in (["READY"], ["ACTIVE"]), 60.0, "the agent has its robot again")
     said = up.close()
     assert f"recorded to {up.recording}" in said
     found = messages(up.recording)
@@ -138,9 +155,13 @@ def test_a_run_is_recorded_from_its_start_to_its_end(tmp_path: Path) -> None:
     times = [at for _, at, _ in found]
     assert times == sorted(times)
     with up.recording.open("rb") as stream:
-        (fleet,) = make_reader(stream).iter_attachments()
-    assert fleet.name == "fleet.toml"
+        (fleet,) = [each for each in make_reader(stream).iter_attachments() if each.name == "fleet.toml"]
     assert up.hub[1].encode() in fleet.data
+    again = fullswarm("replay", str(up.recording), "--json")
+    assert again.returncode == 0, again.stdout + again.stderr
+    outcomes = json.loads(again.stdout)
+    assert sorted(each["name"] for each in outcomes) == ["centralised", "core", "r1", "r2", "r2"]
+    assert all(each["commands"] > 20 for each in outcomes if each["name"].startswith("r"))
 
 
 def test_up_refuses_a_file_that_is_there_before_it_starts_anything(tmp_path: Path) -> None:
