@@ -85,6 +85,13 @@ def run_experiment(
             " (default: the file's, else contacts).",
         ),
     ] = None,
+    record: Annotated[
+        bool | None,
+        typer.Option(
+            "--record/--no-record",
+            help="Record each trial into --out, for viewers and `fullswarm replay` (default: with --live or --fleet).",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> int:
     """Run an experiment. Exit code 0: none failed, and none collided except where the file expects it; 1 otherwise."""
@@ -110,6 +117,7 @@ def run_experiment(
         yes=yes,
         insecure_network=insecure_network,
         evidence=evidence,
+        record=record,
     )
     return experiment.run(options)
 

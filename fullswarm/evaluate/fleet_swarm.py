@@ -31,7 +31,7 @@ from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_confi
 from fullswarm.evaluate.scenarios.maps import text_map
 from fullswarm.evaluate.swarm import TrialFailed, TrialHeld, TrialStopped
 from fullswarm.evaluate.trial import Keeper, KeepingEvidence, TrialRequest, drive, request_of, terms, world_witness
-from fullswarm.evaluate.trial_folder import Measurement
+from fullswarm.evaluate.trial_folder import Measurement, recording_of
 from fullswarm.evaluate.witness import ReportedWitness, Witness, in_safe_set
 from fullswarm.geometry import wrap
 from fullswarm.kernels import Array
@@ -58,6 +58,7 @@ RELEASE = "release it with `fullswarm up` and `fullswarm estop --clear`, then ru
 def run_fleet(
     trials: Sequence[Trial], fleet: Path | SwarmConfig, experiment: str, out: Path | None, *, yes: bool = False,
     insecure_network: bool = False, typed: Lines | None = None, evidence: EvidenceMode = "contacts",
+    recordings: Path | None = None,
 ) -> Iterator[tuple[Trial, TrialResult]]:  # fmt: skip
     """Yield the trials that the fleet can run, each with its result as it ends; what is left out is printed on stderr.
 
@@ -67,6 +68,7 @@ def run_fleet(
     yes : skip both confirmations: robots stand in their places, and it is safe to drive
     typed : where confirmations are read; by default standard input
     evidence : of which trials the motion is kept
+    recordings : folder for a recording of each trial; None: they are not recorded
 
     Raises
     ------
@@ -82,7 +84,7 @@ def run_fleet(
     print_left_out(left_out)
     if not fits:
         raise ConfigError("it can run no trial of this experiment", where=str(fleet) if isinstance(fleet, Path) else "")
-    runner = FleetRunner(config, yes=yes, insecure_network=insecure_network, typed=typed)
+    runner = FleetRunner(config, yes=yes, insecure_network=insecure_network, typed=typed, recordings=recordings)
     for number, trial in enumerate(fits, 1):
         output.progress(f"trial {number} of {len(fits)}: {trial.label}")
         try:
@@ -139,9 +141,16 @@ class FleetRunner:
     """
 
     def __init__(
-        self, fleet: SwarmConfig, *, yes: bool = False, insecure_network: bool = False, typed: Lines | None = None
+        self,
+        fleet: SwarmConfig,
+        *,
+        yes: bool = False,
+        insecure_network: bool = False,
+        typed: Lines | None = None,
+        recordings: Path | None = None,
     ) -> None:
         self._fleet, self._yes, self._insecure_network = fleet, yes, insecure_network
+        self._recordings = recordings
         self._typed: Lines = typed or TypedLines()
         self.held = ""
 
@@ -177,7 +186,8 @@ class FleetRunner:
             with ends_all():
                 self._set_up(config)
         kernels.compile_all()
-        with LiveSwarm(config, insecure_network=self._insecure_network) as swarm:
+        record = recording_of(trial, self._recordings)
+        with LiveSwarm(config, insecure_network=self._insecure_network, record=record) as swarm:
             with ends_all():
                 swarm.start()
             config = swarm.config

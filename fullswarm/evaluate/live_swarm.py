@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -27,12 +28,13 @@ from fullswarm.evaluate.swarm import (
     left_out_of,
 )
 from fullswarm.evaluate.trial import configure, drive_in_world, terms
-from fullswarm.evaluate.trial_folder import Measurement
+from fullswarm.evaluate.trial_folder import Measurement, recording_of
 from fullswarm.fitness import ANYTHING
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports, on_network
 from fullswarm.launch.nodes import process_id
 from fullswarm.launch.supervisor import USAGE, Supervisor
+from fullswarm.launch.up import add_recorder
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import Needs, RequestStatus, Value
 from fullswarm.operator.client import Operator
@@ -74,6 +76,7 @@ class LiveSwarm:
     ----------
     config : the fleet; its ports must be free
     runtime : serves this process; by default one on the machine's clock
+    record : a new file for a recording of all of it
 
     Attributes
     ----------
@@ -81,11 +84,16 @@ class LiveSwarm:
     world : None: all robots are real
     """
 
-    def __init__(self, config: SwarmConfig, runtime: Runtime | None = None, insecure_network: bool = False) -> None:
+    def __init__(
+        self, config: SwarmConfig, runtime: Runtime | None = None, insecure_network: bool = False,
+        record: Path | None = None,
+    ) -> None:  # fmt: skip
         self.runtime = runtime or Runtime(MonotonicClock(), Mailbox())
         self.supervisor = Supervisor(
             config, self.runtime, restart=False, world=False, insecure_network=insecure_network
         )
+        if record is not None:
+            add_recorder(self.supervisor, record)
         self.config = config = self.supervisor.config
         self.keys = Keys(config.swarm)
         hub = config.hub.endpoint
@@ -383,12 +391,13 @@ EMULATED_MARGIN_M = 0.08
 """Odometry and fixes are a few centimetres off, and a rover needs time to brake."""
 
 
-def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
+def measure_live(trial: Trial, emulate: str | None = None, recordings: Path | None = None) -> Measurement:
     """Run a trial with a process for each robot; none is left afterwards.
 
     Parameters
     ----------
     emulate : the robots are of this make, behind emulated ports with their real drivers; None: simulated ones
+    recordings : folder for a recording of the trial; None: it is not recorded
 
     Raises
     ------
@@ -404,7 +413,7 @@ def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
     config = on_free_ports(with_make(config, trial, emulate), prefer_configured=False)
     config, limit = terms(trial, scenario, config)
     kernels.compile_all()
-    with LiveSwarm(config) as swarm:
+    with LiveSwarm(config, record=recording_of(trial, recordings)) as swarm:
         swarm.start()
         return drive_in_world(swarm, swarm.bodies, trial, scenario, goals, limit, emulate is not None)
 

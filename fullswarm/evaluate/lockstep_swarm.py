@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm import output
 from fullswarm.bus.base import OPERATOR
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
@@ -15,7 +17,7 @@ from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
 from fullswarm.evaluate.swarm import ALL_ENDED, CHECK_PERIOD_S, Report, Summaries, TrialFailed, left_out_of
 from fullswarm.evaluate.trial import TIME_LIMIT, Keeper, configure, drive_in_world
-from fullswarm.evaluate.trial_folder import Measurement
+from fullswarm.evaluate.trial_folder import Measurement, recording_of
 from fullswarm.fitness import ANYTHING
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import Needs, RequestStatus, Value
@@ -29,10 +31,22 @@ ROOM = 10.0
 
 
 class LockstepSwarm:
-    """Implements :class:`~fullswarm.evaluate.swarm.Swarm` with :class:`~fullswarm.launch.lockstep.Lockstep`."""
+    """Implements :class:`~fullswarm.evaluate.swarm.Swarm` with :class:`~fullswarm.launch.lockstep.Lockstep`.
 
-    def __init__(self, config: SwarmConfig) -> None:
-        self._lockstep = lockstep = Lockstep(config)
+    Parameters
+    ----------
+    record : a new file for a recording of all of it
+    """
+
+    def __init__(self, config: SwarmConfig, record: Path | None = None) -> None:
+        self._recorder = None
+        if record is not None:
+            from fullswarm.record.lockstep import LockstepRecorder
+
+            self._recorder = LockstepRecorder(record, config.swarm, on_failure=output.progress)
+        self._lockstep = lockstep = Lockstep(config, self._recorder.begin if self._recorder else None)
+        if self._recorder is not None:
+            self._recorder.record(lockstep)
         self.config, self.world, self._runtime = lockstep.config, lockstep.world, lockstep.runtime
         for row in range(len(self.world.ids)):
             self.world.set_limits(row, widened(Limits(*self.world.limits[row].tolist())))
@@ -118,6 +132,8 @@ class LockstepSwarm:
         self._summaries.close()
         self._operator.close()
         self._lockstep.close()
+        if self._recorder is not None:
+            self._recorder.close()
 
     def _on_step(self) -> None:
         if self._watcher is not None:
@@ -159,8 +175,12 @@ def run_trial(trial: Trial) -> TrialResult:
     return Keeper(None, "", measure)(trial)
 
 
-def measure(trial: Trial) -> Measurement:
+def measure(trial: Trial, recordings: Path | None = None) -> Measurement:
     """Run a trial in lockstep.
+
+    Parameters
+    ----------
+    recordings : folder for a recording of the trial; None: it is not recorded
 
     Raises
     ------
@@ -171,7 +191,7 @@ def measure(trial: Trial) -> Measurement:
     """
     scenario = scenario_of(trial)
     config, goals = configure(trial, scenario)
-    swarm = LockstepSwarm(config)
+    swarm = LockstepSwarm(config, recording_of(trial, recordings))
     try:
         limit = trial.time_limit_s or scenario.time_limit_s, TIME_LIMIT
         return drive_in_world(swarm, swarm.world, trial, scenario, goals, limit)

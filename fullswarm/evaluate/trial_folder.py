@@ -300,6 +300,17 @@ def _arena(scenario: Scenario) -> str:
     return scenario.model_dump_json(exclude_none=True)
 
 
+def recording_of(trial: Trial, folder: Path | None) -> Path | None:
+    """Return the new file for a recording of a trial in a folder, made if missing; one of an earlier try is removed."""
+    if folder is None:
+        return None
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{trial_id(trial)}.mcap"
+    for each in (path, *folder.glob(f"{path.stem}.*{path.suffix}")):
+        each.unlink(missing_ok=True)
+    return path
+
+
 FAILED, OLD = "failed", ".old"
 OLD_S = 86400.0
 """Parts of directories of another machine are removed when they are older."""

@@ -44,9 +44,14 @@ def _hint(config: SwarmConfig, folder: Path, record: Path | None) -> str:
     return f"{swarm}; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"
 
 
+def can_record() -> bool:
+    """Tell whether what recordings need is installed."""
+    return all(importlib.util.find_spec(each) is not None for each in ("mcap", "foxglove"))
+
+
 def check_record(record: Path) -> None:
     """Raise `MissingExtra` where nothing can be recorded, and `ConfigError` where the file cannot be made."""
-    if any(importlib.util.find_spec(each) is None for each in ("mcap", "foxglove")):
+    if not can_record():
         raise MissingExtra("recordings are not installed", hint="pip install 'fullswarm[record]'")
     if record.exists():
         raise ConfigError("this file is there already", where=str(record), hint="name another one with --record")

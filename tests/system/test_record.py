@@ -138,14 +138,16 @@ def test_a_recording_is_ended_from_another_terminal(up: Up, tmp_path: Path) -> N
 
 def test_a_run_is_recorded_from_its_start_to_its_end(tmp_path: Path) -> None:
     up = Up(tmp_path)
-    until(up.ready, 90.0, "the swarm is ready")
-    asked = fullswarm("request", "rendezvous", *up.hub)
-    assert asked.returncode == 0, asked.stderr
-    (agent,) = agents(up, "r2")
-    agent.kill()
-    until(lambda: agents(up, "r2") not in ([], [agent]), 30.0, "the agent is started again")
-    until(lambda: up.lifecycles()[1:] in (["READY"], ["ACTIVE"]), 60.0, "the agent has its robot again")
-    said = up.close()
+    try:
+        until(up.ready, 90.0, "the swarm is ready")
+        asked = fullswarm("request", "rendezvous", *up.hub)
+        assert asked.returncode == 0, asked.stderr
+        (agent,) = agents(up, "r2")
+        agent.kill()
+        until(lambda: agents(up, "r2") not in ([], [agent]), 30.0, "the agent is started again")
+        until(lambda: up.lifecycles()[1:] in (["READY"], ["ACTIVE"]), 60.0, "the agent has its robot again")
+    finally:
+        said = up.close()
     assert f"recorded to {up.recording}" in said
     found = messages(up.recording)
     topics = Counter(topic for topic, _, _ in found)

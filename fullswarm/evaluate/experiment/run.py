@@ -19,7 +19,7 @@ from fullswarm.core.groups import Groups
 from fullswarm.core.roles import check_names
 from fullswarm.core.settings import seeds
 from fullswarm.core.teams import team_of
-from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, did_you_mean
+from fullswarm.errors import ConfigError, FullswarmError, MissingExtra, RequestRefused, did_you_mean
 from fullswarm.evaluate.experiment import (
     Experiment,
     Trial,
@@ -59,6 +59,7 @@ from fullswarm.evaluate.trial_folder import (
     trial_id,
     write_trial,
 )
+from fullswarm.launch.up import can_record
 from fullswarm.messages import BehaviourRequest
 from fullswarm.store import Store
 
@@ -89,6 +90,13 @@ class Options:
     yes: bool = False  # with `fleet`: skip the confirmation prompt
     insecure_network: bool = False  # with `fleet`
     evidence: str | None = None  # instead of the file's `EvidenceMode`
+    record: bool | None = None  # into the folder; None: live runs, if what that needs is installed
+
+    @property
+    def recordings(self) -> Path | None:
+        """The folder for recordings of trials; None: they are not recorded."""
+        wanted = (self.live or self.fleet is not None) and can_record() if self.record is None else self.record
+        return self.folder / "recordings" if wanted and self.folder is not None else None
 
 
 Results = Iterator[tuple[Trial, TrialResult]]
@@ -173,6 +181,12 @@ def _check(options: Options) -> None:
     for name, needed in (("emulate", "live"), ("yes", "fleet")):
         if getattr(options, name) and not getattr(options, needed):
             raise ConfigError(f"it needs --{needed}", where=f"--{name}")
+    if options.record and options.folder is None:
+        raise ConfigError("it needs --out FOLDER", where="--record")
+    if options.record and options.dask is not None:
+        raise ConfigError("workers of Dask keep no recordings", where="--record", hint="leave --dask out")
+    if options.record and not can_record():
+        raise MissingExtra("recordings are not installed", hint="pip install 'fullswarm[record]'")
 
 
 def _seeds(text: str | None) -> tuple[int, ...] | None:
@@ -265,13 +279,16 @@ def _runner(
         yield lambda trials: run_fleet(
             trials, fleet, experiment, options.folder,
             yes=options.yes, insecure_network=options.insecure_network, evidence=evidence,
+            recordings=options.recordings,
         )  # fmt: skip
         return
     if options.live:
         from fullswarm.evaluate.live_swarm import measure_live
 
-        run_one = partial(measure_live, emulate=options.emulate)
+        run_one = partial(measure_live, emulate=options.emulate, recordings=options.recordings)
         kind, jobs = "live", 1  # in real time a machine has no room for two swarms
+    elif options.recordings is not None:
+        run_one = partial(measure, recordings=options.recordings)
     run_one = KeepingEvidence(run_one, evidence)
     if options.dask is not None:
         from fullswarm.evaluate.experiment.dask import Cluster, Task
