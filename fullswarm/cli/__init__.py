@@ -14,6 +14,9 @@ file               commands
 ``joystick.py``    `joystick`, `joystick list|test|map`
 ``audit.py``       `audit show|verify`
 ``record.py``      `record start|stop|info|repair`
+``mcp.py``         `mcp`
+``guide.py``       `guide`
+``schema.py``      `schema`
 ``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``fixes.py``       `fixes`, `fixes record|play`
