@@ -60,7 +60,7 @@ class LeaseTerms(Arguments):
     """What is to be held."""
 
     robots: Annotated[list[Robot], Field(min_length=1, max_length=1000)]
-    seconds: Annotated[float, Field(ge=5.0, le=LONGEST_LEASE_S)] = LEASE_S
+    seconds: Annotated[float, Field(ge=1.0, le=LONGEST_LEASE_S)] = LEASE_S
 
 
 class Requested(Arguments):

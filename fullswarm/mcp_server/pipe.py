@@ -66,13 +66,14 @@ class Pipe:
         """Yield what the SDK's server reads from and writes to."""
         inward, received = anyio.create_memory_object_stream[SessionMessage | Exception](0)
         answers, outward = anyio.create_memory_object_stream[SessionMessage](0)
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(self._read, inward)
-            tasks.start_soon(self._write_answers, outward)
-            try:
-                yield received, answers
-            finally:
-                tasks.cancel_scope.cancel()
+        with inward, received, answers, outward:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(self._read, inward)
+                tasks.start_soon(self._write_answers, outward)
+                try:
+                    yield received, answers
+                finally:
+                    tasks.cancel_scope.cancel()
 
     # ---------------------------------------------------------------- reading
     async def _read(self, inward: MemoryObjectSendStream[SessionMessage | Exception]) -> None:
