@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fullswarm import output
-from fullswarm.cli.options import shell_command
+from fullswarm.cli.options import Json, shell_command
 from fullswarm.errors import ConfigError
 
 
@@ -21,6 +21,7 @@ def schema(
         Path | None, typer.Option(metavar="DIR", help="Write the schema of each message, and keys.json, into a folder.")
     ] = None,
     page: Annotated[bool, typer.Option("--page", help="Print the page docs/reference-messages.md.")] = False,
+    as_json: Json = False,
 ) -> int:
     """Print the JSON Schema of a message, or list all messages, for programs in other languages."""
     from fullswarm import schemas
@@ -34,6 +35,8 @@ def schema(
         output.data(schemas.page().rstrip())
     elif message is not None:
         output.data_json(schemas.json_schema(schemas.message_named(message)))
+    elif as_json:
+        output.data_json({name: schemas.tag_of(kind) for name, kind in schemas.messages().items()})
     else:
         for kind in schemas.messages().values():
             output.data(f"{schemas.tag_of(kind):26} {(kind.__doc__ or '').strip().partition(chr(10))[0]}")

@@ -83,7 +83,8 @@ class Model:
         self._portal, self.session = portal, session
 
     def call(self, tool: str, **arguments: Any) -> CallToolResult:
-        return self._portal.call(self.session.call_tool, tool, arguments)
+        found: CallToolResult = self._portal.call(self.session.call_tool, tool, arguments)
+        return found
 
     def ask(self, tool: str, **arguments: Any) -> dict[str, Any]:
         """Return the answer of a tool that must succeed."""
@@ -268,7 +269,18 @@ def test_an_estop_of_a_model_holds_until_a_person_releases_it(claude: Model, ann
 
 def test_a_hostile_client_harms_neither_the_server_nor_the_swarm(claude: Model, anna: Swarm, up: Up) -> None:
     chance = random.Random(21)
-    values = [None, -1, 10**400, 1e308, "x" * 10**5, "\u202e\x1b[2J", [[[]]] * 50, {"a": {"b": []}}, True, ["r1"] * 999]
+    values: list[Any] = [
+        None,
+        -1,
+        10**400,
+        1e308,
+        "x" * 10**5,
+        "\u202e\x1b[2J",
+        [[[]]] * 50,
+        {"a": {"b": []}},
+        True,
+        ["r1"] * 999,
+    ]
     tools = {each.name: each for each in claude.do(claude.session.list_tools).tools}
     names = [name for name in tools if name not in ("engage_estop", "stop_robots")]
 

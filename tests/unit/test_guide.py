@@ -76,8 +76,8 @@ def test_its_facts_are_those_of_the_code(page: str) -> None:
     for name in load_records():
         assert f"`{name.removesuffix('_bc')}`" in page or f"`{name}`" in page
     assert all(f"`{scheme}://`" in page for scheme in DRIVERS)
-    extras = tomlkit.parse((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]  # type: ignore[index]
-    assert all(f"- `{name}`:" in page for name in extras if name not in ("all",))  # type: ignore[union-attr]
+    extras = tomlkit.parse((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert all(f"- `{name}`:" in page for name in extras if name not in ("all",))
     for code in (0, 1, 2, 3, 4, 70, 130):
         assert re.search(rf"^- {code}: .", page, re.MULTILINE)
 
