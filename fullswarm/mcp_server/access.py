@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -93,8 +94,9 @@ class Access:
         entries = await asyncio.wrap_future(self.client.parameters(f"{BEHAVIOUR}*"))
         return {entry.key.removeprefix(BEHAVIOUR): entry.value for entry in entries if isinstance(entry.value, dict)}
 
-    def __enter__(self) -> Access:
-        """Begin something that waits for another process.
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Do something that waits for another process.
 
         Raises
         ------
@@ -104,10 +106,10 @@ class Access:
         if self._waiting >= SLOW:
             raise RequestRefused(f"{SLOW} calls wait for an answer of the swarm", hint="wait for them, then call again")
         self._waiting += 1
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._waiting -= 1
+        try:
+            yield
+        finally:
+            self._waiting -= 1
 
 
 def missing(option: str, what: str) -> FullswarmError:

@@ -167,16 +167,16 @@ class Acts:
 
     async def _take(self, given: LeaseTerms) -> dict[str, Any]:
         await self._access.rows(given.robots)
-        with self._access:
+        with self._access.waiting():
             held = await self._held.take(given.robots, given.seconds)
         return {"held": held, "operator": self._access.client.name, "ends_in_s": round(self._held.left_s, 1)}
 
     async def _release(self, _: Nothing) -> dict[str, Any]:
-        with self._access:
+        with self._access.waiting():
             return {"released": await self._held.release()}
 
     async def _request(self, given: Requested) -> dict[str, Any]:
-        with self._access:
+        with self._access.waiting():
             self._check_lease(given.robots)
             await self._check_behaviour(given.behaviour)
             if given.dry_run:

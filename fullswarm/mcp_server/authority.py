@@ -7,11 +7,10 @@ import hashlib
 import json
 import secrets
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from typing import Any
 
 from fullswarm.clock import Clock
-from fullswarm.errors import FullswarmError, RequestRefused
+from fullswarm.errors import RequestRefused
 from fullswarm.operator.swarm import Client, Held
 from fullswarm.recent import Recent
 
@@ -77,9 +76,8 @@ class HeldRobots:
             return robots
 
     async def _release(self, robots: list[str]) -> None:
-        for held in [self._held.pop(robot) for robot in robots]:
-            with suppress(FullswarmError):  # a core that is silent: what is not renewed ends by itself
-                await asyncio.wrap_future(self._client.release(held))
+        asked = [asyncio.wrap_future(self._client.release(self._held.pop(robot))) for robot in robots]
+        await asyncio.gather(*asked, return_exceptions=True)  # of a silent core: what is not renewed ends by itself
 
     def _end_in(self, seconds: float) -> None:
         if self._timer is not None:

@@ -126,7 +126,7 @@ class Reads:
         return {**summary(row, snapshot), "everything": everything}
 
     async def _behaviours(self, given: Words) -> dict[str, Any]:
-        with self._access:
+        with self._access.waiting():
             records = await self._access.records()
         found = {
             name: {
@@ -140,12 +140,12 @@ class Reads:
         return {"behaviours": found}
 
     async def _behaviour(self, given: BehaviourName) -> dict[str, Any]:
-        with self._access:
+        with self._access.waiting():
             return {"name": given.name, "record": await self._access.record(given.name)}
 
     async def _missions(self, _: Nothing) -> dict[str, Any]:
         await self._access.snapshot()
-        with self._access:
+        with self._access.waiting():
             await asyncio.wrap_future(self._access.client.mission("show"))
         return {"missions": [mission_as_dict(each) for each in list(self._access.client.missions.values())]}
 
@@ -155,7 +155,7 @@ class Reads:
 
     async def _parameters(self, given: Key) -> dict[str, Any]:
         await self._access.snapshot()
-        with self._access:
+        with self._access.waiting():
             entries = await asyncio.wrap_future(self._access.client.parameters(given.key))
         return {"parameters": [msgspec.to_builtins(each) for each in entries]}
 
@@ -167,7 +167,7 @@ class Reads:
         wanted = Selection(
             time_of(given.since, datetime.fromtimestamp(wall_time_s(), UTC)), given.robot, given.operator
         )
-        with self._access:
+        with self._access.waiting():
             async with self._reading:
                 await asyncio.to_thread(self._read_audit)
         found = [entry for entry in self._entries.values() if wanted.wants(entry)]
@@ -183,7 +183,7 @@ class Reads:
     async def _results(self, given: ResultFilter) -> dict[str, Any]:
         if self._access.results is None:
             raise missing("--results FOLDER", "a folder with results of experiments")
-        with self._access:
+        with self._access.waiting():
             cells = await asyncio.to_thread(_cells, self._access.results)
         fit = [each for each in cells if given.contains in f"{each['label']} {each['scenario']}"]
         return {"cells": fit[: given.limit], "that_fit": len(fit), "cells_in_folder": len(cells)}

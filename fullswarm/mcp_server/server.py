@@ -98,7 +98,7 @@ def run(target: Target, options: McpOptions, guide: str) -> int:
         pass
     except BaseExceptionGroup as errors:
         error = _first(errors)
-        if not isinstance(error, BrokenPipeError | ConnectionError):  # else the client is gone
+        if not isinstance(error, ConnectionError):  # else the client is gone
             raise error from None
     finally:
         os.dup2(sink, STDOUT)
