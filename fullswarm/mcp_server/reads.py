@@ -25,7 +25,8 @@ from fullswarm.operator.view import RobotRow, Snapshot
 from fullswarm.recent import Recent
 
 MOST_AUDIT = 1000
-_LOGIN = re.compile(r"(://)[^/@\s\"']*@")
+_LOGIN = re.compile(r"(://)(?!/)[^?\s\"']*@")
+"""Up to the last ``@`` before the options of a URL with a host, whatever characters a password has."""
 
 
 class Nothing(Arguments):
