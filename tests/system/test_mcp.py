@@ -295,6 +295,7 @@ def test_a_hostile_client_harms_neither_the_server_nor_the_swarm(claude: Model, 
 
     async def flood() -> None:
         flooding = [asyncio.ensure_future(attack()) for _ in range(300)]
+        await asyncio.sleep(0)  # they are sent before the stop
         stop = await claude.session.call_tool("stop_robots", {})
         assert not stop.is_error, "a stop is not refused in a flood"
         assert sum(await asyncio.gather(*flooding)) > 200
