@@ -25,6 +25,7 @@ ALL = (
     ("benchmarks.release",),
     ("benchmarks.fault_matrix", "--check"),
     ("benchmarks.fleet",),
+    ("benchmarks.hostile_mcp", "--minutes", "1"),
 )
 
 

@@ -33,6 +33,7 @@ Further files:
 ``launch/``        The composition root: builds nodes and gives them a bus and a clock
 ``localization/``  Publishes external pose measurements, such as motion capture, as pose fixes
 ``maps/``          Occupancy maps: cells as boxes, tiles on the bus, files of ROS's map_server
+``mcp_server/``    `fullswarm mcp`: a swarm for language models, by the Model Context Protocol
 ``messages.py``    Every message on the wire: typed, versioned, immutable
 ``output.py``      stdout is data, stderr is progress
 ``reasons.py``     Why robots do not move and requests are refused: codes for programs, texts for people
@@ -46,6 +47,7 @@ Further files:
 ``rehearse/``      Rehearses faults: a whole swarm on a simulated clock whose processes may die at any moment
 ``robotarium/``    Runs scripts of the Robotarium's simulator in a laboratory
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
+``schemas.py``     JSON Schemas of the messages, for programs in other languages
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors
 ``stderr.py``      Keeps a process alive whose log is on a full disk
 ``store.py``       A layer's local database (paper II.A): key → JSON value with its author, its time and its newest

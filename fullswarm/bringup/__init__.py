@@ -14,6 +14,7 @@ file                        what it does
 ``checks.py``               one line of a check-up, and how all of them are shown
 ``emulate.py``              `emulate`: one emulated robot on a real port, with faults on request
 ``info.py``                 `info`: what a bug report needs
+``guide.py``                `guide`: one page on how to use and extend fullswarm
 ``init.py``                 `init`: a lab's folder, made of ``lab/``
 ``new_behaviour.py``        `behaviours new`: a law, its record and its test, made of ``lab/``
 =========================== ==================================================================

@@ -15,6 +15,9 @@ file               commands
 ``audit.py``       `audit show|verify`
 ``record.py``      `record start|stop|info|repair`
 ``replay.py``      `replay`
+``mcp.py``         `mcp`
+``guide.py``       `guide`
+``schema.py``      `schema`
 ``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``fixes.py``       `fixes`, `fixes record|play`

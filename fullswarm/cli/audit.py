@@ -107,17 +107,9 @@ def verify(
 
 def _folder(given: Path | None, swarm: str) -> Path:
     """Return the log that is meant: of several of a swarm the one that was written last."""
-    from fullswarm.launch.processes import usual_audit_folder
+    from fullswarm.launch.processes import newest_audit_folder
 
-    if given is not None:
-        return given
-    usual = usual_audit_folder(swarm)
-    found = [usual, *usual.parent.glob(f"{usual.name}-[0-9]*")]
-    return max(found, key=_written_s)
-
-
-def _written_s(folder: Path) -> float:
-    return max((path.stat().st_mtime for path in folder.glob("*.jsonl")), default=0.0)
+    return given if given is not None else newest_audit_folder(swarm)
 
 
 def _is_database(path: Path) -> bool:

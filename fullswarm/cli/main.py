@@ -9,7 +9,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fullswarm import __version__
-from fullswarm.cli import bundle, completion, deploy, estop, flash, request, robots, status, tryout
+from fullswarm.cli import (
+    bundle,
+    completion,
+    deploy,
+    estop,
+    flash,
+    guide,
+    mcp,
+    request,
+    robots,
+    schema,
+    status,
+    tryout,
+)
 from fullswarm.cli.audit import audit_app
 from fullswarm.cli.console import console_app
 from fullswarm.cli.experiment import experiment_app
@@ -52,6 +65,7 @@ for group, name in (
     (audit_app, "audit"), (console_app, "console"), (record_app, "record"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
+app.command()(mcp.mcp)
 for group, name, text in (
     (experiment_app, "experiment", "Measure behaviours over many seeded trials."),
     (results_app, "results", "Show, compare, export and report the results of experiments."),
@@ -216,6 +230,10 @@ def init(
     from fullswarm.bringup.init import run
 
     return run(folder, dry_run=dry_run)
+
+
+app.command(rich_help_panel=START)(guide.guide)
+app.command(rich_help_panel=START)(schema.schema)
 
 
 @app.command(rich_help_panel=START)

@@ -80,6 +80,17 @@ def usual_audit_folder(swarm: str) -> Path:
     return state_folder() / "audit" / swarm
 
 
+def newest_audit_folder(swarm: str) -> Path:
+    """Return the audit log of a swarm's core on this machine: of several the one that was written last."""
+    usual = usual_audit_folder(swarm)
+    found = [usual, *usual.parent.glob(f"{usual.name}-[0-9]*")]
+    return max(found, key=_written_s)
+
+
+def _written_s(folder: Path) -> float:
+    return max((path.stat().st_mtime for path in folder.glob("*.jsonl")), default=0.0)
+
+
 def hub(endpoint: str, swarm: str, insecure_network: bool, with_parent: bool) -> int:
     """Serve as the hub at a zenoh endpoint such as ``tcp/127.0.0.1:7447`` or ``tls/10.0.0.2:7447``."""
     from fullswarm.output import progress

@@ -45,8 +45,8 @@ class ParamClient:
         key: str,
         on_reply: Callable[[ParamReply], None],
         value: Stored = None,
-    ) -> None:
-        """Send a question until it is answered, ever more seldom; `on_reply` is called once.
+    ) -> Callable[[], None]:
+        """Send a question until it is answered, ever more seldom; `on_reply` is called once. Returns what withdraws it.
 
         The first repetitions come 0.2 s, 0.4 s and 0.8 s apart, the others a second, and a little later by chance: a
         database that is slow to answer must not be asked more and more.
@@ -55,12 +55,16 @@ class ParamClient:
 
         timer: Timer | None = None
 
-        def receive(reply: ParamReply) -> None:
+        def withdraw() -> None:
             nonlocal timer
-            if timer is not None and reply.id == question.id:
+            if timer is not None:
                 timer.cancel()
                 timer = None
                 subscription.close()
+
+        def receive(reply: ParamReply) -> None:
+            if timer is not None and reply.id == question.id:
+                withdraw()
                 on_reply(reply)
 
         def send() -> None:
@@ -71,6 +75,7 @@ class ParamClient:
         subscription = self._bus.subscribe(self._keys.param_reply(self._layer, question.id), ParamReply, receive)
         waits = itertools.chain((RESEND_S, 2.0 * RESEND_S, 4.0 * RESEND_S), itertools.repeat(RESEND_LAST_S))
         send()
+        return withdraw
 
     def watch(self, pattern: str, on_change: Callable[[ParamEntry], None]) -> Subscription:
         """Call `on_change` for every change of the key `pattern`, or of all that start with it up to its ``*``."""

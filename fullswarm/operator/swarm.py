@@ -38,16 +38,19 @@ from fullswarm.messages import (
     MissionOp,
     MissionReply,
     MissionStatus,
+    ParamEntry,
+    ParamReply,
     RequestStatus,
     Result,
     Value,
 )
 from fullswarm.operator.client import Operator, PendingRequest
-from fullswarm.operator.estop import LISTEN_S
+from fullswarm.operator.estop import LISTEN_S, EStopOrder
 from fullswarm.operator.leases import GROUP, LeaseHolder
 from fullswarm.operator.missions import ENDED, SILENT_S, MissionClient, PendingMissionRequest, waiting_steps
 from fullswarm.operator.missions import refusal as mission_refusal
 from fullswarm.operator.outcome import ended, refusal, settled
+from fullswarm.operator.params import ParamClient
 from fullswarm.operator.session import operator_name, own_credentials, usual_name
 from fullswarm.operator.view import FleetView, RobotRow, Snapshot
 from fullswarm.output import quiet
@@ -211,6 +214,7 @@ class Client:
         self._leases: list[Held] = []
         self._answered: Recent[str, tuple[str, float]] = Recent(REMEMBERED)  # request → the core that did, when asked
         self._refused: dict[str, str] = {}  # robot → operator that holds it
+        self._engaged: dict[tuple[str, ...], EStopOrder] = {}  # repeated until confirmed; none of all robots: ()
         self._thread = RuntimeThread(MonotonicClock(), "fullswarm-swarm", self._end_waiting)
         try:
             self._thread.call(lambda: self._build(self._thread.runtime)).result()
@@ -228,6 +232,7 @@ class Client:
         self._operator = Operator(bus, self.keys, runtime, self.source, name=self.name, clock=clock_id())
         self._view = FleetView(bus, self.keys, runtime)
         self._missions = MissionClient(bus, self.keys, runtime, self.source, name=self.name, clock=clock_id())
+        self._params = ParamClient(bus, self.keys, runtime, self.source)
         self._holder = LeaseHolder(
             bus, self.keys, runtime, self.name, on_lost=self._lost, on_refused=self._note_refused
         )  # fmt: skip
@@ -471,12 +476,24 @@ class Client:
     def estop(
         self, engaged: bool, robots: tuple[str, ...], reason: str, timeout_s: float
     ) -> Future[dict[str, EStopReceipt]]:
-        """Engage or release the e-stop; an engaged one is repeated while the client is open."""
-        order = self.call(
-            lambda: self._operator.estop(
+        """Engage or release the e-stop; an engaged one is repeated while the client is open.
+
+        A newer order for the same robots is repeated in place of the older one.
+        """
+
+        def begin() -> EStopOrder:
+            for done in [names for names, each in self._engaged.items() if each.done]:
+                del self._engaged[done]
+            if robots in self._engaged:
+                self._engaged.pop(robots).close()
+            made = self._operator.estop(
                 engaged, robots, reason, known=self._view.present, deadline_s=math.inf if engaged else timeout_s
             )
-        ).result()
+            if engaged:
+                self._engaged[robots] = made
+            return made
+
+        order = self.call(begin).result()
 
         def ready() -> dict[str, EStopReceipt] | None:
             if order.overruled_by:
@@ -489,6 +506,34 @@ class Client:
             return Unreachable(f"no confirmation of the e-stop from {robots}", where=self.hub, hint=hint)
 
         return self.until(ready, timeout_s, late)
+
+    # ------------------------------------------------------------ database
+    def parameters(self, key: str) -> Future[tuple[ParamEntry, ...]]:
+        """Read what the core's database has under a key, or under all that begin with it up to its ``*``.
+
+        Fails with what the core refuses, or with `Unreachable` after 5 s.
+        """
+        replies: list[ParamReply] = []
+        withdraw: list[Callable[[], None]] = []
+
+        def ready() -> tuple[ParamEntry, ...] | None:
+            if not withdraw:
+                withdraw.append(self._params.ask("get", key, replies.append))
+            if replies and not replies[0].ok:
+                raise ConfigError(replies[0].reason or "refused without a reason", where=key)
+            return replies[0].entries if replies else None
+
+        def end() -> None:
+            for each in withdraw:
+                each()
+
+        def ask_no_more(_: object) -> None:
+            with suppress(FullswarmError):
+                self.call(end)
+
+        found = self.until(ready, ANSWER_S, self._no_core)
+        found.add_done_callback(ask_no_more)
+        return found
 
     # ------------------------------------------------------------ missions
     @property

@@ -19,6 +19,7 @@ from fullswarm.messages import CameraPicture, Message
 from fullswarm.record.recording import Recording, Schema
 from fullswarm.record.scene import Drawn, Scene, log_line
 from fullswarm.runtime import Scheduler
+from fullswarm.schemas import json_schema, tag_of
 
 FLUSH_S = 0.25
 """A kill loses at most what came since the last flush."""
@@ -194,13 +195,8 @@ def _read(topic: Topic, data: bytes) -> Message | None:
 
 def _schema(kind: type[Message]) -> Schema:
     """Return the JSON Schema of a message as an object at the top, as viewers want it."""
-    found = msgspec.json.schema(kind, schema_hook=lambda _: {"description": "any value"})
-    definitions = found["$defs"]
-    name = found["$ref"].rpartition("/")[2]
-    own = definitions.pop(name)
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **own, "$defs": definitions}
-    text = json.dumps(_with_null(schema))
-    return Schema(f"fullswarm.{kind.__struct_config__.tag}", "jsonschema", text.encode(), "json")
+    text = json.dumps(_with_null(json_schema(kind)))
+    return Schema(f"fullswarm.{tag_of(kind)}", "jsonschema", text.encode(), "json")
 
 
 def _with_null(schema: Any) -> Any:

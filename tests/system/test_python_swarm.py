@@ -127,6 +127,17 @@ def test_an_estop_returns_the_receipts_and_refuses_requests(swarm: Swarm) -> Non
     assert swarm.request("flocking_bc").wait_started() == ROBOTS
 
 
+def test_an_estop_that_a_robot_never_confirms_is_repeated_once_only(swarm: Swarm) -> None:
+    orders = swarm._client._operator._orders
+    before = len(orders)
+    for _ in range(4):
+        with pytest.raises(Unreachable, match="no confirmation of the e-stop from r9"):
+            swarm.estop("r9", timeout_s=0.2)
+    repeated = [each for each in list(orders.values())[before:] if each._timer is not None and each._timer.active]
+    assert len(repeated) == 1
+    repeated[0].close()
+
+
 def test_leases_are_held_for_the_length_of_a_with(swarm: Swarm, hub: str) -> None:
     with Swarm(hub, operator="bert") as other:
         with swarm.lease("r1", "r2") as held:

@@ -49,6 +49,9 @@ MISTAKES = [
     ("hub --listen tcp/0.0.0.0:17598", 2, "any computer on that network could drive the robots"),
     ("fixes --listen 127.0.0.1", 2, "expected HOST:PORT (like 127.0.0.1:9870)"),
     ("init .", 2, "is not empty"),
+    ("mcp --fleet nothere.toml", 2, "--fleet nothere.toml: there is no such file or folder"),
+    ("mcp --operator a;b", 2, "'a;b' cannot name an operator (64 characters at most"),
+    ("schema Pong", 2, "schema: no message 'Pong' (did you mean 'Ping'?)"),
     ("requst flocking", 2, "Did you mean 'request'"),
 ]
 

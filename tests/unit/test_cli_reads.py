@@ -20,6 +20,7 @@ DOERS = {
         "fixes record",
         "fixes play",
         "init",
+        "mcp",
         *("track run", "track init", "track sheets", "track calibrate lens", "track calibrate floor"),
     ),  # run, or make, something
     *(
@@ -36,6 +37,7 @@ DOERS = {
     ),  # move, or wait for, people
     *("keys issue", "keys renew", "keys revoke", "console tokens add", "console tokens revoke"),
     *("record start", "record stop", "record repair"),
+    "guide",  # a page
     *("signing root", "signing rotate", "signing revoke"),  # make and withdraw keys
     *(
         "experiment replay",
