@@ -27,6 +27,7 @@ from fullswarm.cli.scenario import scenario_app
 from fullswarm.cli.signing import signing_app
 from fullswarm.cli.study import study_app
 from fullswarm.cli.track import track_app
+from fullswarm.cli.viewer import viewer_app
 from fullswarm.errors import ConfigError
 from fullswarm.stderr import survive_full_disk
 
@@ -49,6 +50,7 @@ for command in (
 for group, name in (
     (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
     (audit_app, "audit"), (console_app, "console"), (record_app, "record"),
+    (viewer_app, "viewer"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
 for group, name, text in (

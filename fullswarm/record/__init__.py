@@ -1,8 +1,12 @@
-"""Recordings of a live swarm: every message that an observer may receive, in MCAP files.
+"""Recordings and views of a live swarm: every message that an observer may receive, in MCAP files or in viewers.
 
 ``recorder.py``    a node that writes what it receives, and the logs of the processes beside it
 ``recording.py``   one recording: channels, chunks that a kill cannot take back, new files by size
 ``scene.py``       what viewers draw, in Foxglove's schemas, made of the same messages
+``table.py``       the newest of each robot in one message, for charts and tables
+``viewer.py``      the same channels for viewers that connect: a Foxglove WebSocket
+``live.py``        `viewer foxglove`: the process that serves it
+``layout.py``      `viewer layout`: arena, charts, log and table for the robots of a fleet
 ``session.py``     `record start` and `record stop`: a recorder's process, and how others find it
 ``reading.py``     what a file holds, and the repair of one that was cut off
 """
