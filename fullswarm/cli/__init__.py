@@ -15,6 +15,7 @@ file               commands
 ``audit.py``       `audit show|verify`
 ``record.py``      `record start|stop|info|repair`
 ``viewer.py``      `viewer foxglove|layout`
+``metrics.py``     `metrics`
 ``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``fixes.py``       `fixes`, `fixes record|play`

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fullswarm import __version__
-from fullswarm.cli import bundle, completion, deploy, estop, flash, request, robots, status, tryout
+from fullswarm.cli import bundle, completion, deploy, estop, flash, metrics, request, robots, status, tryout
 from fullswarm.cli.audit import audit_app
 from fullswarm.cli.console import console_app
 from fullswarm.cli.experiment import experiment_app
@@ -44,7 +44,7 @@ app = typer.Typer(
 START, EVALUATE, DEPLOY, HARDWARE, RUN = "Start", "Evaluate", "Deploy", "Robots and ports", "Single processes"
 for command in (
     request.request, request.stop, estop.estop, request.drive, request.mock, status.status, status.watch,
-    status.behaviours, status.docks,
+    status.behaviours, status.docks, metrics.metrics,
 ):  # fmt: skip
     app.command()(command)
 for group, name in (
