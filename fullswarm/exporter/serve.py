@@ -23,8 +23,6 @@ from fullswarm.output import data, data_json, progress
 
 NAME = "metrics"
 """Of its certificate, where the hub is secured; its role is ``observer``, which can send nothing."""
-DEFAULT_LISTEN = "127.0.0.1:9464"
-"""9464 is the usual port of exporters in OpenTelemetry."""
 CACHE_S, IDLE = 0.25, 4.0
 """Who asks again within this time, or `IDLE` times what the text took, gets the same text: a flood of requests must not
 keep the process busy."""
@@ -62,13 +60,18 @@ class Metrics:
         began_s = self._now_s()
         until_s, text = self._made.get(as_openmetrics, (0.0, b""))
         if not text or began_s >= until_s:
-            text = openmetrics.generate_latest(self._registry) if as_openmetrics else generate_latest(self._registry)
+            text = _openmetrics(self._registry) if as_openmetrics else generate_latest(self._registry)
             ended_s = self._now_s()
             self._made[as_openmetrics] = ended_s + max(CACHE_S, IDLE * (ended_s - began_s)), text
         return text
 
     async def _page(self, _request: Request) -> Response:
         return PlainTextResponse("Metrics of a swarm: /metrics\n")
+
+
+def _openmetrics(registry: CollectorRegistry) -> bytes:
+    text: bytes = openmetrics.generate_latest(registry)  # type: ignore[no-untyped-call]  # the library has no types here
+    return text
 
 
 def run(target: Target, listen: str, allow_hosts: frozenset[str], gone_s: float, as_json: bool) -> int:

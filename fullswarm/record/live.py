@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +26,6 @@ NAME = "viewer"
 """Of its certificate, where the hub is secured; its role is ``observer``, which can send nothing."""
 FLUSH_S = 0.05
 """What a robot does is shown this late at most."""
-DEFAULT_LISTEN = "127.0.0.1:8765"
-"""8765 is the usual port of a Foxglove WebSocket, which viewers suggest."""
 
 
 def show(target: Target, listen: str, origins: frozenset[str], as_json: bool) -> int:
@@ -64,11 +63,9 @@ def show(target: Target, listen: str, origins: frozenset[str], as_json: bool) ->
 def _logs(target: Target) -> Path | None:
     """Return the folder with the logs of the swarm's processes; None: `up` runs on another computer, or as another."""
     hub = target.hub or DEFAULT_HUB
-    try:
-        for folder in run_folder.running():
+    for folder in run_folder.running():
+        with contextlib.suppress(FullswarmError):  # a run that ends or begins just now, or of another version
             config = load_swarm(folder / FLEET)
             if (config.hub.endpoint, config.swarm) == (hub, target.swarm):
                 return folder
-    except FullswarmError:  # a run that ends or begins just now, or of another version
-        return None
     return None

@@ -19,15 +19,17 @@ MOTION = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rad_s")
 """Columns of the states that are shown."""
 
 
-def _columns() -> dict[str, object]:
-    number, text, flag = {"type": ["number", "null"]}, {"type": "string"}, {"type": "boolean"}
-    return {
-        "robot": text, "x_m": number, "y_m": number, "heading_rad": number, "speed_m_s": number,
-        "turn_rad_s": number, "battery": number, "lifecycle": text, "behaviour": text, "moving": flag, "estop": flag,
-        "stop_reason": text, "fault": text, "deviation_m_s": number, "age_s": number,
-    }  # fmt: skip
-
-
+Kind = dict[str, str | list[str]]
+NUMBER: Kind = {"type": ["number", "null"]}
+TEXT: Kind = {"type": ["string", "null"]}
+FLAG: Kind = {"type": ["boolean", "null"]}
+COLUMNS: dict[str, Kind] = {
+    "robot": {"type": "string"}, **dict.fromkeys(MOTION, NUMBER), "battery": NUMBER, "lifecycle": TEXT,
+    "behaviour": TEXT, "moving": FLAG, "estop": FLAG, "stop_reason": TEXT, "fault": TEXT, "deviation_m_s": NUMBER,
+    "age_s": NUMBER,
+}  # fmt: skip
+"""What is not known is null; `age_s` is the time since the robot's last message."""
+ROWS = {"type": "array", "items": {"type": "object", "required": list(COLUMNS), "properties": COLUMNS}}
 SCHEMA = Schema(
     "fullswarm.Robots",
     "jsonschema",
@@ -36,17 +38,12 @@ SCHEMA = Schema(
             "$schema": "https://json-schema.org/draft/2020-12/schema",
             "type": "object",
             "required": ["robots"],
-            "properties": {
-                "robots": {
-                    "type": "array",
-                    "items": {"type": "object", "required": ["robot"], "properties": _columns()},
-                }
-            },
+            "properties": {"robots": ROWS},
         }
     ).encode(),
     "json",
 )
-"""A row per robot, by id. A number that is not known is null; `age_s` is the time since the robot's last message."""
+"""A row per robot, by id."""
 
 
 class Table:
@@ -72,14 +69,14 @@ class Table:
         for robot, arrival_s in arrivals:
             if now_s - arrival_s < SILENT_S:
                 newest[robot] = max(arrival_s, newest.get(robot, arrival_s))
-        rows = [{"robot": robot, **self._row(robot), "age_s": now_s - newest[robot]} for robot in sorted(newest)]
+        rows = [self._row(robot) | {"age_s": now_s - newest[robot]} for robot in sorted(newest)]
         return Drawn(ROBOTS, SCHEMA, msgspec.json.encode({"robots": rows}))
 
     def _row(self, robot: str) -> dict[str, object]:
-        row: dict[str, object] = {}
+        row: dict[str, object] = {**dict.fromkeys(COLUMNS), "robot": robot}
         if robot in self._states:
             _, states, at = self._states[robot]
-            row = {name: getattr(states, name)[at] for name in MOTION}
+            row |= {name: getattr(states, name)[at] for name in MOTION}
         if robot in self._health:
             health = self._health[robot][1]
             row |= {

@@ -36,6 +36,7 @@ DOERS = {
     ),  # move, or wait for, people
     *("keys issue", "keys renew", "keys revoke", "console tokens add", "console tokens revoke"),
     *("record start", "record stop", "record repair"),
+    "viewer layout",  # prints nothing but JSON
     *("signing root", "signing rotate", "signing revoke"),  # make and withdraw keys
     *(
         "experiment replay",

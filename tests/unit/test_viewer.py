@@ -361,7 +361,7 @@ async def sleeper(rig: Rig) -> socket.socket:
 
 def test_idle_connections_and_too_many_viewers_keep_no_viewer_out_for_long() -> None:
     async def test(rig: Rig) -> None:
-        idle = []
+        idle: list[socket.socket] = []
         for _ in range(300):  # each says half a request, or nothing
             made = socket.create_connection(("127.0.0.1", rig.port))
             made.send(b"GET / HTTP/1.1\r\nHost:"[: len(idle) % 22])
