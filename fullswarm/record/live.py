@@ -37,9 +37,9 @@ def show(target: Target, listen: str, origins: frozenset[str], as_json: bool) ->
     """
 
     def build(to: Connection) -> tuple[Starlette, list[Node]]:
-        now_s, began_ns = to.runtime.now_s, round(1e9 * wall_time_s())
+        logs, now_s = _logs(target), to.runtime.now_s
+        began_ns = round(1e9 * wall_time_s())  # last: times of messages count from here
         channels = Channels(f"fullswarm: {target.swarm}", str(began_ns), now_s)
-        logs = _logs(target)
         node = Recorder(to.bus, to.keys, to.runtime, channels, began_ns, logs, flush_s=FLUSH_S)
         return Web(channels, now_s, origins).app(), [node]
 

@@ -15,7 +15,7 @@ import contextlib
 import json
 import struct
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 from urllib.parse import urlsplit
@@ -55,15 +55,15 @@ STALLED_S = 10.0
 """A client that takes nothing for this long is closed."""
 NOTICE_S = 5.0
 """From one notice about lost messages to the next."""
-RATE_HZ, BURST = 50.0, 1000.0
+RATE_HZ, BURST = 50.0, MOST_CHANNELS + 1000.0
+"""Of what a client asks for: subscriptions that it begins or ends, and other frames."""
 LOGGED_ORIGINS = 32
 
-TOO_MANY, TOO_SLOW = 1013, 1013
-"""Try again later (RFC 6455 and its registry of closing codes)."""
-POLICY = 1008
+TOO_MANY, POLICY = 1013, 1008
+"""Closing codes: try again later, and a limit that was exceeded (RFC 6455 and its registry)."""
 MESSAGE_DATA = struct.Struct("<BIQ")
 """Operation 1, subscription, nanoseconds since 1970; the message follows."""
-INFO, WARNING, ERROR = 0, 1, 2
+WARNING, ERROR = 1, 2
 
 Id = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 
@@ -169,6 +169,7 @@ class Viewer:
     def __init__(self, outbox: Outbox) -> None:
         self.outbox = outbox
         self._by_channel: dict[int, int] = {}  # channel → subscription
+        self._by_subscription: dict[int, int] = {}
 
     def wants(self, channel: int) -> int | None:
         """Return its subscription to a channel."""
@@ -178,19 +179,18 @@ class Viewer:
         """Begin a subscription; return why not: a channel has one, and a subscription one channel."""
         if channel in self._by_channel:
             return f"channel {channel} is subscribed already"
-        if subscription in self._by_channel.values():
+        if subscription in self._by_subscription:
             return f"subscription {subscription} is in use"
-        self._by_channel[channel] = subscription
+        self._by_channel[channel], self._by_subscription[subscription] = subscription, channel
         return ""
 
-    def unsubscribe(self, subscriptions: Sequence[int]) -> None:
-        """End subscriptions; those that are none are ignored."""
-        gone = set(subscriptions)
-        self._by_channel = {channel: each for channel, each in self._by_channel.items() if each not in gone}
+    def unsubscribe(self, subscription: int) -> None:
+        """End a subscription; one that is none is ignored."""
+        self._by_channel.pop(self._by_subscription.pop(subscription, -1), None)
 
     def forget(self, channel: int) -> None:
         """End the subscription to a channel that is closed."""
-        self._by_channel.pop(channel, None)
+        self._by_subscription.pop(self._by_channel.pop(channel, -1), None)
 
 
 class Channels:
@@ -227,24 +227,37 @@ class Channels:
         """Forget a client."""
         self.viewers.remove(viewer)
 
-    def handle(self, viewer: Viewer, text: str | bytes) -> None:
-        """Carry out what a client sends; what is none of a subscriber's operations is answered with an error."""
+    def handle(self, viewer: Viewer, text: str | bytes) -> int:
+        """Carry out what a client sends; return how many things that were.
+
+        What is none of a subscriber's operations is answered with an error, as is the first of subscriptions that
+        cannot be.
+        """
         try:
             found = _decoder.decode(text) if isinstance(text, str) else None
         except (msgspec.DecodeError, UnicodeError):
             found = None
         if found is None:
             viewer.outbox.control(status(ERROR, "this server is read-only: it takes subscribe and unsubscribe"))
-        elif isinstance(found, _Unsubscribe):
-            viewer.unsubscribe(found.subscription_ids)
-        else:
-            for each in found.subscriptions:
-                channel = self._by_id.get(each.channel_id)
-                problem = "no such channel" if channel is None else viewer.subscribe(each.id, channel.id)
-                if channel is None or problem:
-                    viewer.outbox.control(status(ERROR, problem))
-                elif channel.last is not None:
-                    viewer.outbox.data(MESSAGE_DATA.pack(1, each.id, channel.last[0]) + channel.last[1])
+            return 1
+        if isinstance(found, _Unsubscribe):
+            for each in found.subscription_ids:
+                viewer.unsubscribe(each)
+            return len(found.subscription_ids)
+        problems = [problem for each in found.subscriptions if (problem := self._subscribe(viewer, each))]
+        if problems:
+            more = f", and {len(problems) - 1} more that cannot be" if len(problems) > 1 else ""
+            viewer.outbox.control(status(ERROR, problems[0] + more))
+        return len(found.subscriptions)
+
+    def _subscribe(self, viewer: Viewer, wanted: _Subscription) -> str:
+        channel = self._by_id.get(wanted.channel_id)
+        if channel is None:
+            return f"there is no channel {wanted.channel_id}"
+        problem = viewer.subscribe(wanted.id, channel.id)
+        if not problem and channel.last is not None:
+            viewer.outbox.data(MESSAGE_DATA.pack(1, wanted.id, channel.last[0]) + channel.last[1])
+        return problem
 
     # ------------------------------------------------------------------ as a recorder's sink
     def write(self, topic: str, _sender: str, schema: Schema, time_ns: int, data: bytes) -> None:
@@ -385,7 +398,7 @@ class Web:
                 task.cancel()
             results = await asyncio.gather(*tasks, return_exceptions=True)
         if outbox.sending_s is not None or outbox.overrun:
-            await _close(websocket, TOO_SLOW, "this viewer is too slow")
+            websocket.state.admission.cut()  # a frame that says why would wait behind what it does not take
         ended = websocket.application_state is not WebSocketState.CONNECTED
         for result in results:
             # Sending what still waited after the closing is no error.
@@ -399,11 +412,11 @@ class Web:
             message = await websocket.receive()
             if message["type"] == "websocket.disconnect":
                 raise WebSocketDisconnect(message.get("code", 1005))
-            if not bucket.take(self.now_s()):
+            text = message.get("text")
+            count = self.channels.handle(viewer, message["bytes"] if text is None else text)
+            if not all(bucket.take(self.now_s()) for _ in range(max(1, count))):
                 await _close(websocket, POLICY, "too many frames")
                 return
-            text = message.get("text")
-            self.channels.handle(viewer, message["bytes"] if text is None else text)
 
     async def _stalls(self, outbox: Outbox) -> None:
         """Return when the client has taken nothing for too long."""
