@@ -18,7 +18,7 @@ from prometheus_client.registry import Collector
 
 from fullswarm import __version__
 from fullswarm.exporter.newest import PROCESSES_S, SwarmNode
-from fullswarm.keys import ROBOT_ID
+from fullswarm.keys import ROBOT_ID, TRUTH
 from fullswarm.messages import ChargePhase, HealthReport, Phase, ProcessPhase, RobotHealth
 from fullswarm.perf.metrics import METRICS, SHAPE, SHAPE_DOC
 from fullswarm.reasons import Code
@@ -36,7 +36,7 @@ QUANTITIES: dict[str, frozenset[str]] = {
     SHAPE: frozenset(SHAPE_DOC),
     "coverage": frozenset({"fraction", "area_m2", "cells", "refused_hosts"}),
 }
-TRUTH = "truth_"
+MEASURED = f"{TRUTH}_"
 """How a summary's quantity begins that a supervisory process measured."""
 
 
@@ -230,11 +230,11 @@ class SwarmCollector(Collector):
                 for message in messages if column in message.columns
                 for robot, value in zip(message.robots, message.columns[column], strict=False)
                 if robot in there  # the supervisory process of a world measures the same robots
-                and message.host != "truth"
+                and message.host != TRUTH
             )  # fmt: skip
             yield _family(f"fullswarm_robot_{name}", doc, ("robot",), samples, counter=counter)
         for total, (name, doc) in TOTALS.items():
-            found = (((message.host,), message.totals.get(total)) for message in messages if message.host != "truth")
+            found = (((message.host,), message.totals.get(total)) for message in messages if message.host != TRUTH)
             yield _family(f"fullswarm_agent_{name}", doc, ("host",), found, counter=True)
 
     # ------------------------------------------------------------------ processes
@@ -328,7 +328,7 @@ class SwarmCollector(Collector):
                 ((metric, quantity), value)
                 for metric, _, summary in node.summaries.items()
                 for quantity, value in sorted(summary.values.items())
-                if quantity.removeprefix(TRUTH) in QUANTITIES[metric]
+                if quantity.removeprefix(MEASURED) in QUANTITIES[metric]
             ),
         )  # fmt: skip
 

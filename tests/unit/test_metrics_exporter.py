@@ -20,7 +20,7 @@ from fullswarm.bus.local import LocalBus
 from fullswarm.clock import MonotonicClock, SimClock
 from fullswarm.exporter.newest import GONE_S, MOST_ROBOTS, SwarmNode
 from fullswarm.exporter.serve import CACHE_S, Metrics
-from fullswarm.keys import Keys
+from fullswarm.keys import TRUTH, Keys
 from fullswarm.messages import (
     ChargingStatus,
     DockState,
@@ -98,27 +98,28 @@ def swarm(bench: Bench) -> None:
         stop_reason="its driver is in FAULT", stop_code="invented by somebody",
     )  # fmt: skip
     report = HealthReport(
-        host="lab", process="p1", version="1.0", robots=(*one.robots, *two.robots), ticks=100, late_ticks=7,
+        host="west", process="p1", version="1.0", robots=(*one.robots, *two.robots), ticks=100, late_ticks=7,
         missed_ticks=2, worst_late_s=0.05, dropped={"states": 4, "a b": 1, "c d": 2}, wall_offset_s=-0.5,
         round_trip_s=0.003,
     )  # fmt: skip
-    bench.say(keys.health("lab"), report)
+    bench.say(keys.health("west"), report)
     columns: dict[str, tuple[float, ...]] = {
         "x_m": (1.0, 2.0),
         "distance_m": (10.0, math.nan),
         "goal_m": (math.inf, 0.5),
     }
     totals = {"sent": 50.0, "received": 60.0}
-    for host in ("lab", "truth"):
+    seen: dict[str, tuple[float, ...]] = {"x_m": (7.0, 8.0), "distance_m": (9.0, 9.0), "goal_m": (9.0, 9.0)}
+    for host, values in (("west", columns), (TRUTH, seen)):
         measured = RobotMeasurement(
-            host=host, process="p1", robots=("r1", "r2"), columns=columns, totals=totals, stamp_s=0.0
+            host=host, process="p1", robots=("r1", "r2"), columns=values, totals=totals, stamp_s=0.0
         )  # fmt: skip
         bench.say(keys.measurement("robots", host), measured)
     bench.say(keys.heartbeat("core"), Heartbeat(node="core", process="p", sequence=1, active=("a", "b")))
     state = ProcessState(name="hub", phase="running", starts=2)
     bench.say(keys.processes("base"), ProcessReport(host="base", processes=(state,)))
-    values = {"total_m": 12.0, "truth_total_m": 11.0, "invented": 1.0, "elapsed_s": 3.0}
-    bench.say(keys.summary("work"), Summary(metric="work", values=values))
+    summed = {"total_m": 12.0, "truth_total_m": 11.0, "invented": 1.0, "elapsed_s": 3.0}
+    bench.say(keys.summary("work"), Summary(metric="work", values=summed))
     bench.say(keys.summary("invented"), Summary(metric="invented", values={"total_m": 1.0}))
     for phase in ("accepted", "running", "running", "ended"):
         status = RequestStatus(request_id="q", behaviour="flocking", phase=phase)
@@ -130,8 +131,10 @@ def swarm(bench: Bench) -> None:
 
 def intervene(bench: Bench, *robots: str) -> None:
     many = len(robots)
-    message = Interventions(host="lab", robots=robots, x_m_s=(0.1,) * many, y_m_s=(0.0,) * many, reasons=("r2",) * many)
-    bench.say(bench.keys.intervention("lab"), message)
+    message = Interventions(
+        host="west", robots=robots, x_m_s=(0.1,) * many, y_m_s=(0.0,) * many, reasons=("r2",) * many
+    )
+    bench.say(bench.keys.intervention("west"), message)
 
 
 def test_a_scrape_has_what_the_swarm_reports() -> None:
@@ -158,13 +161,13 @@ def test_a_scrape_has_what_the_swarm_reports() -> None:
         ("robot_filter_interventions_total", 'robot="r1"'): 2,
         ("robot_x_meters", 'robot="r1"'): 1, ("robot_x_meters", 'robot="r2"'): 2,
         ("robot_distance_meters_total", 'robot="r1"'): 10, ("robot_goal_distance_meters", 'robot="r2"'): 0.5,
-        ("agent_sent_messages_total", 'host="lab"'): 50, ("agent_received_messages_total", 'host="lab"'): 60,
-        ("agent_ticks_total", 'host="lab"'): 100, ("agent_late_ticks_total", 'host="lab"'): 7,
-        ("agent_missed_ticks_total", 'host="lab"'): 2, ("agent_worst_tick_delay_seconds", 'host="lab"'): 0.05,
-        ("agent_dropped_messages_total", 'cause="states",host="lab"'): 4,
-        ("agent_dropped_messages_total", 'cause="other",host="lab"'): 3,
-        ("agent_core_round_trip_seconds", 'host="lab"'): 0.003,
-        ("agent_wall_clock_offset_seconds", 'host="lab"'): -0.5,
+        ("agent_sent_messages_total", 'host="west"'): 50, ("agent_received_messages_total", 'host="west"'): 60,
+        ("agent_ticks_total", 'host="west"'): 100, ("agent_late_ticks_total", 'host="west"'): 7,
+        ("agent_missed_ticks_total", 'host="west"'): 2, ("agent_worst_tick_delay_seconds", 'host="west"'): 0.05,
+        ("agent_dropped_messages_total", 'cause="states",host="west"'): 4,
+        ("agent_dropped_messages_total", 'cause="other",host="west"'): 3,
+        ("agent_core_round_trip_seconds", 'host="west"'): 0.003,
+        ("agent_wall_clock_offset_seconds", 'host="west"'): -0.5,
         ("node_active_requests", 'node="core"'): 2,
         ("process_phase", 'host="base",phase="running",process="hub"'): 1,
         ("process_phase", 'host="base",phase="frozen",process="hub"'): 0,
