@@ -19,7 +19,7 @@ def metrics(
         str,
         typer.Option(
             metavar="HOST:PORT",
-            help="The address to listen on; port 0: any free port. Who reaches it can read the swarm's state.",
+            help="The address to listen on; port 0: any free port. Programs that reach it can read the swarm's state.",
         ),
     ] = "127.0.0.1:9464",
     allow_host: Annotated[

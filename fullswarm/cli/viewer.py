@@ -26,7 +26,7 @@ def foxglove(
         str,
         typer.Option(
             metavar="HOST:PORT",
-            help="The address to listen on; port 0: any free port. Who reaches it can read all that the swarm sends.",
+            help="The address to listen on; port 0: any free port. Programs that reach it can read all of the swarm.",
         ),
     ] = "127.0.0.1:8765",
     allow_origin: Annotated[

@@ -135,6 +135,7 @@ class SwarmCollector(Collector):
         """Yield all families."""
         yield from self._exporter()
         yield from self._robots()
+        yield from self._robot_states()
         yield from self._measured()
         yield from self._agents()
         yield from self._processes()
@@ -174,19 +175,32 @@ class SwarmCollector(Collector):
         for each in HEALTH:
             samples = (((robot,), each.read(h)) for robot, _, (h, _) in rows)
             yield _family(each.name, each.doc, ("robot",), samples, counter=each.counter)
+        filtered, begun = self._node.filtered, self._node.interventions
+        yield _family(
+            "fullswarm_robot_filter_active",
+            "1 while the safety filter changes its motion.",
+            ("robot",),
+            (((robot,), float(robot in filtered)) for robot, _, _ in rows),
+        )
+        yield _family(
+            "fullswarm_robot_filter_interventions_total", "How often it began to, since this exporter started.",
+            ("robot",), (((robot,), float(begun.get(robot, 0))) for robot, _, _ in rows), counter=True,
+        )  # fmt: skip
+
+    def _robot_states(self) -> Iterator[Metric]:
+        rows = list(self._node.robots.items())
         yield _family(
             "fullswarm_robot_lifecycle",
             "1 for the state in which its driver is.",
             ("robot", "state"),
             (((robot, each), float(h.lifecycle == each)) for robot, _, (h, _) in rows for each in LIFECYCLES),
         )
-        named = ROBOT_ID
         yield _family(
             "fullswarm_robot_behaviour",
             "1 for the behaviour that it runs; no sample: none.",
             ("robot", "behaviour"),
             (
-                ((robot, h.behaviour if named.match(h.behaviour) else OTHER), 1.0)
+                ((robot, h.behaviour if ROBOT_ID.match(h.behaviour) else OTHER), 1.0)
                 for robot, _, (h, _) in rows
                 if h.behaviour
             ),
@@ -209,17 +223,6 @@ class SwarmCollector(Collector):
             ("robot", "phase"),
             (((robot, h.charge.phase), 1.0) for robot, _, (h, _) in rows if h.charge is not None),
         )
-        filtered, begun = self._node.filtered, self._node.interventions
-        yield _family(
-            "fullswarm_robot_filter_active",
-            "1 while the safety filter changes its motion.",
-            ("robot",),
-            (((robot,), float(robot in filtered)) for robot, _, _ in rows),
-        )
-        yield _family(
-            "fullswarm_robot_filter_interventions_total", "How often it began to, since this exporter started.",
-            ("robot",), (((robot,), float(begun.get(robot, 0))) for robot, _, _ in rows), counter=True,
-        )  # fmt: skip
 
     def _measured(self) -> Iterator[Metric]:
         messages = [message for _, _, message in self._node.measured.items()]

@@ -24,8 +24,8 @@ from fullswarm.output import data, data_json, progress
 NAME = "metrics"
 """Of its certificate, where the hub is secured; its role is ``observer``, which can send nothing."""
 CACHE_S, IDLE = 0.25, 4.0
-"""Who asks again within this time, or `IDLE` times what the text took, gets the same text: a flood of requests must not
-keep the process busy."""
+"""A text is used again for this time, or `IDLE` times what it took to make: a flood of requests must not keep the
+process busy."""
 OPENMETRICS = "application/openmetrics-text"
 
 

@@ -20,7 +20,7 @@ from fullswarm.record.scene import LOG, SCENE, WORLD
 from fullswarm.record.table import ROBOTS
 
 MOST_SERIES = 40
-"""Of one chart; with more nothing can be told apart."""
+"""Of one chart; more lines cannot be distinguished."""
 FIELD_OF_VIEW_DEG = 45.0
 MARGIN = 1.15
 """How much more than the arena the camera sees."""
