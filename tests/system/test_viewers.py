@@ -5,6 +5,7 @@ The viewer's client is the ``websockets`` library, the metrics are read by the p
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import struct
@@ -35,14 +36,18 @@ def swarm() -> Iterator[LiveSwarm]:
     made.close()
 
 
-def end(process: subprocess.Popen[str]) -> str:
-    """Press Ctrl-C; return what stderr has."""
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
+@contextlib.contextmanager
+def serving(swarm: LiveSwarm, *command: str) -> Iterator[dict[str, str]]:
+    """Run a server beside the swarm; yield what it prints once it listens. At the end it obeys Ctrl-C."""
+    process = swarm.spawn(*command, "--listen", "127.0.0.1:0", "--json")
     try:
-        return process.communicate(timeout=30)[1]
+        yield served(process)
+        process.send_signal(signal.SIGINT)
+        assert "Traceback" not in process.communicate(timeout=30)[1]
+        assert process.returncode == 130
     finally:
         process.kill()
+        process.communicate()
 
 
 def served(process: subprocess.Popen[str]) -> dict[str, str]:
@@ -74,24 +79,20 @@ def messages(client: ClientConnection, *topics: str) -> Iterator[tuple[str, Any]
 
 
 def test_a_viewer_sees_the_live_swarm_and_its_end_harms_nothing(swarm: LiveSwarm) -> None:
-    viewer = swarm.spawn("viewer", "foxglove", "--listen", "127.0.0.1:0", "--json")
-    address = served(viewer)
-    assert address["foxglove"].endswith(address["url"])
-    with connect(address["url"], subprotocols=[Subprotocol("foxglove.sdk.v1")], proxy=None, close_timeout=1) as client:
-        seen: set[str] = set()
-        for topic, message in messages(client, "/robots", "/state/all/r1", "/heartbeat/core"):
-            if topic == "/robots" and [each["lifecycle"] for each in message["robots"]] == ["READY", "READY"]:
-                assert [each["robot"] for each in message["robots"]] == ["r1", "r2"]
-                seen.add(topic)
-            elif topic != "/robots":
-                seen.add(topic)
-            if len(seen) == 3:
-                break
+    with serving(swarm, "viewer", "foxglove") as address:
+        assert address["foxglove"].endswith(address["url"])
+        names = [Subprotocol("foxglove.sdk.v1")]
+        with connect(address["url"], subprotocols=names, proxy=None, close_timeout=1) as client:
+            seen: set[str] = set()
+            for topic, message in messages(client, "/robots", "/state/all/r1", "/heartbeat/core"):
+                rows = message["robots"] if topic == "/robots" else ()
+                if topic != "/robots" or [each["lifecycle"] for each in rows] == ["READY", "READY"]:
+                    seen.add(topic)
+                if len(seen) == 3:
+                    break
         taken = swarm.cli("viewer", "foxglove", "--listen", address["url"].removeprefix("ws://"))
         assert (taken.returncode, taken.stdout) == (3, "")
         assert "cannot listen" in taken.stderr
-    end(viewer)
-    assert viewer.returncode == 130
     swarm.until(swarm.ready, PATIENCE_S, "all robots and the core are there")
 
 
@@ -102,34 +103,30 @@ def test_a_layout_names_the_robots_of_the_live_swarm(swarm: LiveSwarm) -> None:
     assert [each["label"] for each in paths] == ["r1", "r2"]
 
 
+def values(url: str) -> dict[tuple[str, str], float]:
+    """Return what a scrape has, by name and robot or node."""
+    with urllib.request.urlopen(url, timeout=10) as answer:
+        families = text_string_to_metric_families(answer.read().decode())
+    return {
+        (sample.name, sample.labels.get("robot", sample.labels.get("node", ""))): sample.value
+        for each in families
+        for sample in each.samples
+    }
+
+
 def test_prometheus_can_scrape_the_swarm(swarm: LiveSwarm) -> None:
-    exporter = swarm.spawn("metrics", "--listen", "127.0.0.1:0", "--json")
-    url = served(exporter)["url"]
-
-    def values() -> dict[tuple[str, str], float]:
-        with urllib.request.urlopen(url, timeout=10) as answer:
-            families = text_string_to_metric_families(answer.read().decode())
-            return {
-                (sample.name, sample.labels.get("robot", sample.labels.get("node", ""))): sample.value
-                for each in families
-                for sample in each.samples
-            }
-
     wanted = {(f"fullswarm_robot_{what}", robot) for what in ("x_meters", "estop") for robot in ("r1", "r2")}
-    until(
-        lambda: wanted | {("fullswarm_node_heartbeat_age_seconds", "core")} <= values().keys(),
-        PATIENCE_S,
-        "all is there",
-    )
-    found = values()
-    assert found["fullswarm_exporter_hub_connected", ""] == 1
-    assert found["fullswarm_robot_estop", "r1"] == 0
-    assert found["fullswarm_node_heartbeat_age_seconds", "core"] < 5
-    assert swarm.cli("estop", "r1").returncode == 0
-    until(lambda: values()["fullswarm_robot_estop", "r1"] == 1, PATIENCE_S, "the e-stop shows")
-    assert swarm.cli("estop", "--clear").returncode == 0
-    assert "Traceback" not in end(exporter)
-    assert exporter.returncode == 130
+    wanted.add(("fullswarm_node_heartbeat_age_seconds", "core"))
+    with serving(swarm, "metrics") as address:
+        url = address["url"]
+        until(lambda: wanted <= values(url).keys(), PATIENCE_S, "all is there")
+        found = values(url)
+        assert found["fullswarm_exporter_hub_connected", ""] == 1
+        assert found["fullswarm_robot_estop", "r1"] == 0
+        assert found["fullswarm_node_heartbeat_age_seconds", "core"] < 5
+        assert swarm.cli("estop", "r1").returncode == 0
+        until(lambda: values(url)["fullswarm_robot_estop", "r1"] == 1, PATIENCE_S, "the e-stop shows")
+        assert swarm.cli("estop", "--clear").returncode == 0
 
 
 def test_an_exporter_waits_for_a_hub_and_a_viewer_says_that_there_is_none() -> None:
@@ -148,5 +145,6 @@ def test_an_exporter_waits_for_a_hub_and_a_viewer_says_that_there_is_none() -> N
         assert (viewer.returncode, out) == (3, "")
         assert "no hub answers" in err
     finally:
-        end(exporter)
-        viewer.kill()
+        for each in (exporter, viewer):
+            each.kill()
+            each.communicate()
