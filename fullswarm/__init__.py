@@ -22,6 +22,7 @@ Further files:
 ``envs/``          Environments for Gymnasium and PettingZoo, and trained policies as behaviours
 ``errors.py``      The error tree
 ``evaluate/``      Experiments (paper IV): scenarios, trials, experiments, results
+``exporter/``      Metrics of a live swarm for Prometheus
 ``files.py``       Replaces files in one step: a reader finds the old content or the new one; a disk that may fail
 ``fitness.py``     Decides whether a robot is fit for a request: capabilities, limits, make, charge
 ``geometry.py``    Angles, the unicycle map and frame changes
@@ -37,7 +38,8 @@ Further files:
 ``messages.py``    Every message on the wire: typed, versioned, immutable
 ``output.py``      stdout is data, stderr is progress
 ``reasons.py``     Why robots do not move and requests are refused: codes for programs, texts for people
-``record/``        Recordings of a swarm in MCAP files: all messages that an observer may receive; replay
+``record/``        Recordings and views of a swarm: every message that an observer may receive, in MCAP files or in
+                    viewers; replay of recordings
 ``journal/``       What the nodes of a process received and did, so that they can be run again on it
 ``recent.py``      A dict that keeps its newest entries
 ``memory.py``      Memory of a control law: arrays with one row per robot that are kept from call to call

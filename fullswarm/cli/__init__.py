@@ -18,6 +18,8 @@ file               commands
 ``mcp.py``         `mcp`
 ``guide.py``       `guide`
 ``schema.py``      `schema`
+``viewer.py``      `viewer foxglove|layout`
+``metrics.py``     `metrics`
 ``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``fixes.py``       `fixes`, `fixes record|play`

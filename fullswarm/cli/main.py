@@ -17,6 +17,7 @@ from fullswarm.cli import (
     flash,
     guide,
     mcp,
+    metrics,
     request,
     robots,
     schema,
@@ -41,6 +42,7 @@ from fullswarm.cli.scenario import scenario_app
 from fullswarm.cli.signing import signing_app
 from fullswarm.cli.study import study_app
 from fullswarm.cli.track import track_app
+from fullswarm.cli.viewer import viewer_app
 from fullswarm.errors import ConfigError
 from fullswarm.stderr import survive_full_disk
 
@@ -57,12 +59,13 @@ app = typer.Typer(
 START, EVALUATE, DEPLOY, HARDWARE, RUN = "Start", "Evaluate", "Deploy", "Robots and ports", "Single processes"
 for command in (
     request.request, request.stop, estop.estop, request.drive, request.mock, status.status, status.watch,
-    status.behaviours, status.docks,
+    status.behaviours, status.docks, metrics.metrics,
 ):  # fmt: skip
     app.command()(command)
 for group, name in (
     (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
     (audit_app, "audit"), (console_app, "console"), (record_app, "record"),
+    (viewer_app, "viewer"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
 app.command()(mcp.mcp)

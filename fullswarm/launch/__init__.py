@@ -16,6 +16,7 @@ In: a fleet file. Out: running processes, or a whole swarm in one process.
 ``up.py``           `fullswarm up`: the supervisor in a terminal
 ``stopping.py``     checks a fleet file before a start: can its robots stop in time?
 ``web_console.py``  the web console as one more process beside a swarm
+``observer.py``     serves what an observer receives to programs that connect: viewers, Prometheus
 ``network.py``      an emulated bad network between a process and its bus; ports: of emulated robots, free ones beside
                     another swarm
 """

@@ -13,6 +13,7 @@ import os
 import shutil
 import stat
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from fullswarm.clock import wall_time_s
@@ -79,6 +80,19 @@ class RunFolder:
                 shutil.rmtree(self.path, ignore_errors=True)
             os.close(self._lock)
             self._lock = -1
+
+
+def running() -> Iterator[Path]:
+    """Yield the folders of this user's runs that go on now; raises as `user_folder`."""
+    for path in sorted(user_folder().glob(f"{RUNS}*")):
+        with contextlib.suppress(OSError):  # removed meanwhile
+            lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                yield path
+            finally:
+                os.close(lock)
 
 
 def _remove_left(parent: Path) -> None:

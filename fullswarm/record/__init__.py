@@ -1,10 +1,14 @@
-"""Recordings of a swarm in MCAP files: every message that an observer may receive; journals, and their replay.
+"""Recordings and views of a swarm: every message that an observer may receive, in MCAP files or in viewers; replay.
 
 ``recorder.py``    a node that writes what it receives, and the logs of the processes beside it
 ``recording.py``   one recording: channels, chunks that a kill cannot take back, new files by size
 ``scene.py``       what viewers draw, in Foxglove's schemas, made of the same messages
 ``lockstep.py``    records a swarm in lockstep
 ``replay.py``      runs the nodes of a recording again, and names the first difference
+``table.py``       the newest of each robot in one message, for charts and tables
+``viewer.py``      the same channels for viewers that connect: a Foxglove WebSocket
+``live.py``        `viewer foxglove`: the process that serves it
+``layout.py``      `viewer layout`: arena, charts, log and table for the robots of a fleet
 ``session.py``     `record start` and `record stop`: a recorder's process, and how others find it
 ``reading.py``     what a file holds, and the repair of one that was cut off
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,15 +16,18 @@ from fullswarm.identity.access import TOPICS, Topic
 from fullswarm.journal.journal import JournalTail
 from fullswarm.keys import Keys
 from fullswarm.messages import CameraPicture, Message
-from fullswarm.record.recording import Recording, Schema
+from fullswarm.record.recording import Schema
 from fullswarm.record.scene import Drawn, Scene, log_line
+from fullswarm.record.table import Table
 from fullswarm.runtime import Scheduler
 from fullswarm.schemas import json_schema, tag_of
 
 FLUSH_S = 0.25
 """A kill loses at most what came since the last flush."""
-SCENE_EVERY = 4
-"""Flushes from one whole scene to the next."""
+SCENE_S = 1.0
+"""From one whole scene to the next."""
+TABLE_S = 0.25
+"""From one table of all robots to the next."""
 LONGEST_LINE = 2000
 JOURNAL, JOURNAL_TYPE = "journal", "application/vnd.fullswarm.journal"
 """Name and media type of attachments with blocks of journals: MessagePack, a list of process and compressed block."""
@@ -39,6 +42,41 @@ class TapBus(Protocol):
 
     def tap(self, expressions: Sequence[str]) -> Tap:
         """Collect all messages on matching keys."""
+        ...
+
+
+class Sink(Protocol):
+    """Where a recorder writes: a :class:`~fullswarm.record.recording.Recording`, or the viewers that are connected.
+
+    Attributes
+    ----------
+    refused : messages for which there was no more channel
+    """
+
+    refused: int
+
+    def write(self, topic: str, sender: str, schema: Schema, time_ns: int, data: bytes) -> None:
+        """Add a message; see :meth:`fullswarm.record.recording.Recording.write`."""
+        ...
+
+    def flush(self) -> None:
+        """Pass on what was added. Raises `OSError` or `ConfigError` when that is possible no more."""
+        ...
+
+    def attach(self, name: str, media_type: str, time_ns: int, data: bytes) -> None:
+        """Add an attachment."""
+        ...
+
+    def note(self, name: str, values: Mapping[str, str]) -> None:
+        """Add metadata."""
+        ...
+
+    def close(self) -> None:
+        """End in order."""
+        ...
+
+    def abandon(self) -> None:
+        """End as it is, after a failure."""
         ...
 
 
@@ -57,10 +95,11 @@ def journals_in(folder: Path) -> Journals:
 
 
 class Recorder:
-    """Writes what it receives into a recording, which it owns from here on.
+    """Writes what it receives into a recording, which it owns from here on, or shows it to viewers.
 
     Parameters
     ----------
+    flush_s : how often it does so
     start_ns : nanoseconds since 1970 now
     logs : folder of the processes' logs, if they run on this machine
     on_failure : called once when nothing can be written any more, with the reason
@@ -77,21 +116,24 @@ class Recorder:
         bus: TapBus,
         keys: Keys,
         scheduler: Scheduler,
-        recording: Recording,
+        recording: Sink,
         start_ns: int,
         logs: Path | None = None,
         on_failure: Callable[[str], None] = lambda _: None,
         journals: Journals = no_journals,
+        flush_s: float = FLUSH_S,
     ) -> None:
         self._swarm, self._scheduler, self._recording = keys.swarm, scheduler, recording
         self._start_ns, self._start_s = start_ns, scheduler.now_s()
         self._on_failure = on_failure
-        self._scene, self._logs, self._journals = Scene(), LogTail(logs), journals
+        self._scene, self._table = Scene(), Table()
+        self._logs, self._journals = LogTail(logs), journals
+        self._scene_every, self._table_every = (max(1, round(each_s / flush_s)) for each_s in (SCENE_S, TABLE_S))
         self._schemas = {kind: _schema(kind) for topic in TOPICS for kind in topic.messages}
         self.strange, self.failed, self._flushes, self._open = 0, False, 0, True
         self._topics = [topic for topic in TOPICS if "observer" in topic.receive]
         self._tap = bus.tap([f"{self._swarm}/{topic.expression()}" for topic in self._topics])
-        self._timer = scheduler.every(FLUSH_S, self._flush)
+        self._timer = scheduler.every(flush_s, self._flush)
 
     def _ns(self, at_s: float) -> int:
         return self._start_ns + round(1e9 * (at_s - self._start_s))
@@ -106,6 +148,7 @@ class Recorder:
             name = "/" + carried.key.partition("/")[2]
             data = msgspec.json.encode(message)
             self._recording.write(name, carried.sender, self._schemas[type(message)], time_ns, data)
+        self._table.take(message, carried.arrival_s)
         for drawn in self._scene.take(message, carried.arrival_s, time_ns):
             self._draw(drawn, time_ns)
 
@@ -124,8 +167,10 @@ class Recorder:
                 self._draw(log_line(process, line, now_ns), now_ns)
             if blocks := list(self._journals()):
                 self._recording.attach(JOURNAL, JOURNAL_TYPE, now_ns, msgspec.msgpack.encode(blocks))
-            if self._flushes % SCENE_EVERY == 0:
+            if self._flushes % self._scene_every == 0:
                 self._draw(self._scene.whole(now_s, now_ns), now_ns)
+            if self._flushes % self._table_every == 0:
+                self._draw(self._table.whole(now_s), now_ns)
             self._flushes += 1
             self._recording.flush()
         except (OSError, ConfigError) as error:  # also where the next file cannot be begun

@@ -38,6 +38,7 @@ DOERS = {
     *("keys issue", "keys renew", "keys revoke", "console tokens add", "console tokens revoke"),
     *("record start", "record stop", "record repair"),
     "guide",  # a page
+    "viewer layout",  # prints nothing but JSON
     *("signing root", "signing rotate", "signing revoke"),  # make and withdraw keys
     *(
         "experiment replay",

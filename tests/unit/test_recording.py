@@ -260,7 +260,7 @@ def test_all_that_an_observer_may_receive_is_recorded(tmp_path: Path) -> None:
             if "observer" in topic.receive and kind is not CameraPicture:
                 sent[f"/{key}"] = sent.get(f"/{key}", 0) + 1
     rig.runtime.run(1.0)
-    found = {topic: len(each) for topic, each in rig.read().items() if topic not in ("/tf", "/scene", "/camera/hall")}
+    found = {topic: len(each) for topic, each in rig.read().items() if topic not in ("/tf", "/scene", "/robots")}
     assert {topic: count for topic, count in found.items() if not topic.startswith("/camera/")} == sent
     assert rig.recorder.strange == 0
 

@@ -41,6 +41,7 @@ import webbrowser
 
 DEFAULT_LISTEN = "127.0.0.1:8807"
 TOKEN = "FULLSWARM_CONSOLE_TOKEN"  # noqa: S105  (the name of a variable)
+ANOTHER = "is another console running? --listen 127.0.0.1:0 takes any free port"
 LEAST_TOKEN = 16
 DEAD_LINK_MS = 10_000
 OUTSIDE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1"), "::": (socket.AF_INET6, "2001:db8::1")}  # noqa: S104  (compared)
@@ -89,7 +90,7 @@ def serve(target: Target, options: Options, on_start: OnStart) -> int:
         raise ConfigError("no operator has a token", where=str(options.tokens), hint=hint)
     doorkeeper = Doorkeeper(token, wall_time_s, name=options.operator, file=file)
     keys = Keys(target.swarm)
-    with contextlib.closing(_bind(host, port, options.listen)) as listener:
+    with contextlib.closing(bind(host, port, options.listen, ANOTHER)) as listener:
         return asyncio.run(_serve(listener, host, (token, doorkeeper), keys, target, options, on_start))
 
 
@@ -143,7 +144,14 @@ def read_token(path: Path | None) -> str:
     return token
 
 
-def _bind(host: str, port: int, listen: str) -> socket.socket:
+def bind(host: str, port: int, listen: str, hint: str) -> socket.socket:
+    """Return a socket that is bound, but does not listen yet.
+
+    Raises
+    ------
+    Unreachable
+        The address is in use, or none of this machine's; with the hint.
+    """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -154,7 +162,6 @@ def _bind(host: str, port: int, listen: str) -> socket.socket:
         listener.setblocking(False)
     except OSError as error:
         listener.close()
-        hint = "is another console running? --listen 127.0.0.1:0 takes any free port"
         raise Unreachable(f"cannot listen: {error.strerror or error}", where=listen, hint=hint) from error
     return listener
 
@@ -196,7 +203,7 @@ async def _serve(
         runtime_loop = RuntimeLoop(runtime, loop, fail)
         web = Web(gateway, doorkeeper, runtime.now_s, runtime_loop.wake)
         server = uvicorn_server(web.app(names, Pages()))
-        ended_by = _end_on_signals(loop, server)
+        ended_by = end_on_signals(loop, server)
         address = url(host, port, token, options.allow_hosts)
         loop.call_soon(on_start, address, runtime, lambda: setattr(server, "should_exit", True))
         loop.call_soon(runtime_loop.wake)
@@ -212,7 +219,7 @@ async def _serve(
     return output.INTERRUPTED if signal.SIGINT in ended_by else 0
 
 
-def _end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> list[int]:
+def end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> list[int]:
     """Shut the server down on the first signal, abort on the second; return the list of signals received."""
     received: list[int] = []
 
