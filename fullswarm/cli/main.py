@@ -23,6 +23,7 @@ from fullswarm.cli.params import params_app
 from fullswarm.cli.record import record_app
 from fullswarm.cli.rehearse import rehearse
 from fullswarm.cli.results import results_app
+from fullswarm.cli.ros import ros_app
 from fullswarm.cli.scenario import scenario_app
 from fullswarm.cli.signing import signing_app
 from fullswarm.cli.study import study_app
@@ -48,7 +49,7 @@ for command in (
     app.command()(command)
 for group, name in (
     (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
-    (audit_app, "audit"), (console_app, "console"), (record_app, "record"),
+    (audit_app, "audit"), (console_app, "console"), (record_app, "record"), (ros_app, "ros"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
 for group, name, text in (
