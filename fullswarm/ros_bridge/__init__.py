@@ -8,6 +8,7 @@
         grid.py             the tiles of all hosts joined in one occupancy grid
         cmd_vel.py          drives robots by the velocities that ROS publishes: leases, dead-man, refusals
         requests.py         carries out requests in JSON, and answers them
+        control_requests.py   shows which behaviour each robot runs, on the paper's topics
         complaints.py       counts and names what ROS sends wrongly, without a flood in the log
       link.py               what the node needs of a side of ROS: topics, messages
       codec.py              plain values ↔ bytes of ROS 1 and ROS 2, by the rosbags library

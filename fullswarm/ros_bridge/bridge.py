@@ -20,7 +20,7 @@ from fullswarm.bus.base import Bus
 from fullswarm.bus.lanes import Bucket
 from fullswarm.errors import MessageError
 from fullswarm.keys import Keys
-from fullswarm.messages import BehaviourRequest, EStop, GridTiles, RobotStates, SeenObstacles, StopRequest
+from fullswarm.messages import BehaviourRequest, EStop, GridTiles, HealthReport, RobotStates, SeenObstacles, StopRequest
 from fullswarm.operator.client import Operator
 from fullswarm.operator.leases import LeaseHolder
 from fullswarm.operator.robot_state import advise, row_state
@@ -30,6 +30,7 @@ from fullswarm.ros_bridge import codec as types
 from fullswarm.ros_bridge import values as v
 from fullswarm.ros_bridge.cmd_vel import Drive, DriveContext, velocity
 from fullswarm.ros_bridge.complaints import Complaints
+from fullswarm.ros_bridge.control_requests import ControlRequests, SeenRequests
 from fullswarm.ros_bridge.grid import JoinedGrid
 from fullswarm.ros_bridge.link import Incoming, Link, Topic, Values
 from fullswarm.ros_bridge.requests import Requests
@@ -43,8 +44,8 @@ ODOMETRY_HZ = 30.0
 DIAGNOSTICS_S, BATTERY_S, MARKERS_S, GRID_S = 1.0, 1.0, 0.5, 2.0
 GONE_S = 10.0
 """A robot that has been silent for so long has no topics any more; when it is back, it gets them again."""
-MOST_ROBOTS, MOST_HOSTS, MOST_BOXES, REQUESTS = 1000, 1000, 5000, 64
-"""Robots and hosts that are shown, obstacles that are drawn, requests whose goals are remembered, at most."""
+MOST_ROBOTS, MOST_HOSTS, MOST_BOXES = 1000, 1000, 5000
+"""Robots and hosts that are shown, and obstacles that are drawn, at most."""
 FINISH_S, ZEROS_S = 0.5, 0.2
 """Time for the last zeros and the return of the leases, and for the zeros alone."""
 _FIRST = re.compile(r"[A-Za-z_]")
@@ -68,6 +69,7 @@ class Shown:
     state: v.RobotState
     arrived_s: float
     bucket: Bucket
+    control_requests: ControlRequests
     topics: dict[str, Topic] = field(default_factory=dict)  # by their last chunk
 
 
@@ -108,7 +110,7 @@ class Bridge:
         self._names: dict[str, str] = {}  # of ROS → robot
         self._grid = JoinedGrid()
         self._obstacles: Recent[str, SeenObstacles] = Recent(MOST_HOSTS)
-        self._requests: Recent[str, BehaviourRequest] = Recent(REQUESTS)
+        self._requests = SeenRequests()
         self._static: frozenset[str] = frozenset()
         self._up = {link.where: link.up for link in links}
         self._inputs: dict[str, tuple[str, str]] = {}  # topic → its type, robot
@@ -121,9 +123,10 @@ class Bridge:
         self._closed = False
         self._subscriptions = [
             bus.subscribe(keys.state(), RobotStates, self._on_states),
+            bus.subscribe(keys.health(), HealthReport, self._on_health),
             bus.subscribe(keys.obstacles(), SeenObstacles, self._on_obstacles, latest=True),
             bus.subscribe(keys.grid(), GridTiles, self._on_grid),
-            bus.subscribe(keys.behaviour_request, BehaviourRequest, self._on_request),
+            bus.subscribe(keys.behaviour_request, BehaviourRequest, self._requests.add),
             bus.subscribe(keys.stop, StopRequest, self._on_stop),
             bus.subscribe(keys.estop, EStop, self._on_estop),
         ]
@@ -154,6 +157,12 @@ class Bridge:
         for link in self._links:
             link.subscribe(full)
 
+    def _withdraw(self, topic: Topic) -> None:
+        full = self._full(topic)
+        self._inputs.pop(full.name, None)
+        for link in self._links:
+            link.withdraw(full.name)
+
     def _publish(self, topic: Topic, values: Values) -> None:
         for link in self._links:
             link.publish(self._full(topic).name, values)
@@ -168,7 +177,8 @@ class Bridge:
             self._complaints.add(robot, f"{robot} is not shown: {what}", now_s)
             return None
         self._names[name] = robot
-        found = self._shown[robot] = Shown(name, state, now_s, Bucket(ODOMETRY_HZ, now_s))
+        control_requests = ControlRequests(name, self._advertise, self._withdraw, self._publish)
+        found = self._shown[robot] = Shown(name, state, now_s, Bucket(ODOMETRY_HZ, now_s), control_requests)
         self._offer(found, "odom", types.ODOMETRY)
         if self._options.commands:
             topic = found.topics["cmd_vel"] = Topic(f"{name}/cmd_vel", types.TWIST)
@@ -187,11 +197,9 @@ class Bridge:
         drive = self._drives.pop(robot, None)
         if drive is not None:
             drive.release()
+        shown.control_requests.close()
         for topic in shown.topics.values():
-            full = self._full(topic)
-            self._inputs.pop(full.name, None)
-            for link in self._links:
-                link.withdraw(full.name)
+            self._withdraw(topic)
 
     # ------------------------------------------------------------ from the swarm
     def _on_states(self, message: RobotStates) -> None:
@@ -220,9 +228,11 @@ class Bridge:
     def _on_obstacles(self, message: SeenObstacles) -> None:
         self._obstacles[message.host] = message
 
-    def _on_request(self, request: BehaviourRequest) -> None:
-        if "goal" in request.parameters:
-            self._requests[request.id] = request
+    def _on_health(self, report: HealthReport) -> None:
+        for health in report.robots:
+            shown = self._shown.get(health.robot)
+            if shown is not None:
+                shown.control_requests.update(health, self._requests)
 
     def _on_grid(self, message: GridTiles) -> None:
         try:
@@ -324,8 +334,7 @@ class Bridge:
 
     def _goal(self, state: v.RobotState, request_id: str) -> Sequence[float] | None:
         """Return where a robot is driving to: its request's goal, else the place that it states itself."""
-        request = self._requests.get(request_id)
-        goal = request.parameters["goal"] if request is not None else None
+        goal = self._requests.parameters(request_id).get("goal")
         if isinstance(goal, list) and len(goal) == 2 and all(isinstance(each, int | float) for each in goal):
             return [float(each) for each in goal if not isinstance(each, list)]
         aim = (state.aim_x_m, state.aim_y_m)

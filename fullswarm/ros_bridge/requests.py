@@ -110,8 +110,13 @@ class Requests:
             self._first(asked.robots, lambda: self._request(asked))
 
     def _request(self, asked: RosRequest) -> None:
+        newest: RequestStatus | None = None
+
         def receive(status: RequestStatus) -> None:
-            self._answer({"id": asked.id, "op": asked.op, **msgspec.to_builtins(status)})
+            nonlocal newest
+            changed, newest = newest is None or _undated(newest) != _undated(status), status
+            if changed:  # the core repeats what it has said, with a new time
+                self._answer({"id": asked.id, "op": asked.op, **msgspec.to_builtins(status)})
             if status.phase in FINAL_PHASES:
                 self._open.pop(status.request_id, None)
 
@@ -187,6 +192,10 @@ class Gathered:
             self._all = False
             self._scheduler.after(GATHER_S, self._flush)
             self._send(robots, ids)
+
+
+def _undated(status: RequestStatus) -> RequestStatus:
+    return msgspec.structs.replace(status, stamp_s=0.0)
 
 
 def _without_groups(robots: tuple[str, ...]) -> tuple[str, ...]:
