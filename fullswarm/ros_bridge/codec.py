@@ -5,6 +5,7 @@ Extra: ``pip install 'fullswarm[ros-bridge]'``.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -34,16 +35,8 @@ class Codec:
     """
 
     def __init__(self, ros: Literal[1, 2]) -> None:
-        try:
-            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-        except ImportError as error:
-            raise MissingExtra(
-                "a bridge to ROS needs the package rosbags", hint="pip install 'fullswarm[ros-bridge]'"
-            ) from error
         self._ros = ros
-        self._store: Any = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_JAZZY)
-        if ros == 1:
-            self._store.register(get_types_from_msg(_TF_ROS1, TF))
+        self._store = _typestore(ros)
         self._makers: dict[str, dict[str, Make]] = {}
 
     def encode(self, kind: str, values: Values) -> bytes:
@@ -107,3 +100,17 @@ class Codec:
             return lambda value: [make(each) for each in (value or [None] * length)]
         dtype = np.dtype(_NUMPY.get(name[0], name[0]))
         return lambda value: np.zeros(length, dtype) if value is None else np.asarray(value, dtype)
+
+
+@functools.cache
+def _typestore(ros: Literal[1, 2]) -> Any:
+    try:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError as error:
+        raise MissingExtra(
+            "a bridge to ROS needs the package rosbags", hint="pip install 'fullswarm[ros-bridge]'"
+        ) from error
+    store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_JAZZY)
+    if ros == 1:
+        store.register(get_types_from_msg(_TF_ROS1, TF))
+    return store
