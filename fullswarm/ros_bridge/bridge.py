@@ -28,7 +28,7 @@ from fullswarm.operator.view import FleetView, RobotRow, natural
 from fullswarm.recent import Recent
 from fullswarm.ros_bridge import codec as types
 from fullswarm.ros_bridge import values as v
-from fullswarm.ros_bridge.cmd_vel import Drive, DriveContext, velocity
+from fullswarm.ros_bridge.cmd_vel import NO_CORE, Drive, DriveContext, velocity
 from fullswarm.ros_bridge.complaints import Complaints
 from fullswarm.ros_bridge.control_requests import ControlRequests, SeenRequests
 from fullswarm.ros_bridge.grid import JoinedGrid
@@ -120,7 +120,7 @@ class Bridge:
         )
         self._context = DriveContext(operator, self._leases, scheduler, bus.connected, self._refused)
         self._asked = Requests(operator, scheduler, self._answer, self._view.present, self._end_driving)
-        self._closed = False
+        self._ending = self._closed = False
         self._subscriptions = [
             bus.subscribe(keys.state(), RobotStates, self._on_states),
             bus.subscribe(keys.health(), HealthReport, self._on_health),
@@ -253,8 +253,8 @@ class Bridge:
 
     def _take(self, link: Link, incoming: Incoming) -> None:
         kind, robot = self._inputs.get(incoming.topic, ("", ""))
-        if not kind:
-            return  # it was withdrawn just now
+        if not kind or self._ending:
+            return  # the topic was withdrawn just now, or the bridge ends: nothing may start again
         try:
             if incoming.problem:
                 raise MessageError(incoming.problem)
@@ -363,7 +363,8 @@ class Bridge:
         rows = sorted(seen.robots, key=lambda row: natural(row.robot))
         entries = [self._bridge_entry(seen.connected)]
         entries += [_robot_entry(row, holders.get(row.robot, "")) for row in rows]
-        entries += [_drive_entry(self._drives[robot]) for robot in sorted(self._drives, key=natural)]
+        known = self._leases.received
+        entries += [_drive_entry(self._drives[robot], known) for robot in sorted(self._drives, key=natural)]
         self._publish(DIAGNOSTICS, {"header": v.header("", self._wall_ns()), "status": entries})
 
     def _bridge_entry(self, connected: bool) -> dict[str, Any]:
@@ -384,6 +385,7 @@ class Bridge:
     # ------------------------------------------------------------ the end
     def finish(self, on_done: Callable[[], None]) -> None:
         """Stop the robots that ROS drives and return their leases; then call `on_done`."""
+        self._ending = True
         waits = [drive for drive in self._drives.values() if drive.driving]
         if not waits:
             on_done()
@@ -431,8 +433,10 @@ def _robot_entry(row: RobotRow, holder: str) -> dict[str, Any]:
     return v.diagnostic(level, f"swarm: {row.robot}", state.text, numbers, hardware)
 
 
-def _drive_entry(drive: Drive) -> dict[str, Any]:
+def _drive_entry(drive: Drive, core_known: bool) -> dict[str, Any]:
     name = f"swarm: {drive.robot} cmd_vel"
+    if not core_known:
+        return v.diagnostic(v.WARN, name, NO_CORE, {})
     if drive.refusal:
         return v.diagnostic(v.WARN, name, f"refused: {drive.refusal}", {})
     return v.diagnostic(v.OK, name, "driving" if drive.driving else "idle", {})

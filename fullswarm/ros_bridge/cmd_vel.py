@@ -8,7 +8,7 @@ that nothing starts to move because the other operator lets go.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,7 @@ from fullswarm.runtime import Scheduler
 
 BEHAVIOUR = "drive_bc"
 DEAD_MAN_S = 0.3
+NO_CORE = "no core of the swarm has answered yet"
 SPEED_RANGE_M_S, TURN_RANGE_RAD_S = (0.01, 10.0), (0.01, 20.0)
 """Of the behaviour's parameters for full speed and full turn rate."""
 
@@ -80,7 +81,7 @@ class Drive:
         if not context.connected():
             return "the swarm's hub is not connected"
         if not context.leases.received:
-            return "no core of the swarm has answered yet"
+            return NO_CORE
         if holder := context.leases.held_by_others((self.robot,)).get(self.robot):
             return f"{self.robot} is held by {holder}"
         if state is None or not (state.speed_limit_m_s > 0.0 and state.turn_limit_rad_s > 0.0):
@@ -146,8 +147,3 @@ def velocity(message: Any) -> tuple[float, float]:
     if not all(map(math.isfinite, values)):
         raise MessageError("a velocity that is not finite")
     return float(linear.x), float(angular.z)
-
-
-def refusals(drives: Mapping[str, Drive]) -> dict[str, str]:
-    """Return robot → why ROS may not drive it now."""
-    return {robot: drive.refusal for robot, drive in drives.items() if drive.refusal}

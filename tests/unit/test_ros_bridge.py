@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 import pytest
 
 from fullswarm.drivers.ros import protocol, zenoh_wire
-from fullswarm.errors import MessageError
+from fullswarm.errors import ConfigError, MessageError
 from fullswarm.maps.tiles import FREE, OCCUPIED, GridPlace, pack
 from fullswarm.messages import SeenObstacles
+from fullswarm.operator.session import Target
 from fullswarm.ros_bridge import codec as types
 from fullswarm.ros_bridge import values as v
-from fullswarm.ros_bridge.bridge import GONE_S, ros_name
+from fullswarm.ros_bridge.bridge import GONE_S, Options, ros_name
 from fullswarm.ros_bridge.codec import Codec
 from fullswarm.ros_bridge.complaints import Complaints
+from fullswarm.ros_bridge.session import Sides
+from fullswarm.ros_bridge.session import bridge as run_bridge
 from tests.unit.core_swarm import KEYS
 from tests.unit.ros_bench import WALL_S, RosBench, fresh
 
@@ -264,6 +267,25 @@ def test_the_papers_topics_show_which_behaviour_runs(bench: RosBench) -> None:
         bench.ask({"behaviour": behaviour, "robots": ["r0"]})
         bench.run(1.0)
     assert sum(each.endswith("/control_requests") for each in bench.link.offered) <= 4
+
+
+# ---------------------------------------------------------------- options
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"ros2": None}, "no side of ROS is named"),
+        ({"ros2": "tcp/localhost:7447"}, "the swarm's own hub"),
+        ({"ros2": "tcp/[::1]:7447"}, "the swarm's own hub"),
+        ({"ros2": "7447"}, "not the address"),
+        ({"domain": 233}, "domain 233"),
+        ({"namespace": "lab-1"}, "no ROS namespace"),
+    ],
+)
+def test_options_that_cannot_work_are_refused_before_anything_is_connected(changed: dict[str, Any], words: str) -> None:
+    given = {"ros2": "tcp/127.0.0.1:7448", "domain": 0, "namespace": ""} | changed
+    sides = Sides(given["ros2"], "zenoh", given["domain"], None, "")
+    with pytest.raises(ConfigError, match=words):
+        run_bridge(Target("tcp/127.0.0.1:7447"), sides, Options(given["namespace"]))
 
 
 # ---------------------------------------------------------------- complaints

@@ -1,0 +1,58 @@
+"""A node of ROS 1 for tests, run by the system's Python: prints what it has received as one line of JSON.
+
+It uses Debian's own message classes, which share nothing with the bridge.
+"""
+
+import json
+import sys
+import time
+
+import rospy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+SECONDS = 3.0
+
+
+def main() -> None:
+    robot, request = sys.argv[1:3]
+    rospy.init_node("test_node", anonymous=True, disable_signals=True)
+    odometry, answers, frames = [], [], []
+    rospy.Subscriber(f"/{robot}/odom", Odometry, lambda message: odometry.append((time.monotonic(), message)))
+    rospy.Subscriber("/swarm/answer", String, lambda message: answers.append(message.data))
+    rospy.Subscriber("/tf_static", TFMessage, lambda message: frames.append(message.transforms[0].child_frame_id))
+    ask = rospy.Publisher("/swarm/request", String, queue_size=5)
+    drive = rospy.Publisher(f"/{robot}/cmd_vel", Twist, queue_size=5)
+    limit_s = time.monotonic() + 20.0
+    while (not odometry or not ask.get_num_connections() or not drive.get_num_connections()) and (
+        time.monotonic() < limit_s
+    ):
+        time.sleep(0.02)
+    began_s = time.monotonic()
+    time.sleep(SECONDS)
+    count = sum(at_s >= began_s for at_s, _ in odometry)
+    start = odometry[-1][1].pose.pose.position if odometry else None
+    ask.publish(request)
+    while time.monotonic() < limit_s and not any(json.loads(each).get("running") for each in answers):
+        time.sleep(0.02)
+    time.sleep(1.0)
+    place = odometry[-1][1].pose.pose.position
+    requested_m = ((place.x - start.x) ** 2 + (place.y - start.y) ** 2) ** 0.5
+    twist = Twist()
+    twist.angular.z = 0.5
+    turned = []
+    for _ in range(30):
+        drive.publish(twist)
+        time.sleep(0.05)
+        turned.append(odometry[-1][1].twist.twist.angular.z)
+    time.sleep(1.0)
+    sys.stdout.write(json.dumps({
+        "hz": count / SECONDS, "requested_m": requested_m, "turn_rad_s": max(turned), "answers": answers,
+        "after_rad_s": odometry[-1][1].twist.twist.angular.z, "frames": frames[-1:],
+    }) + "\n")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
