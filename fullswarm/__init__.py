@@ -44,6 +44,7 @@ Further files:
 ``registry.py``    Drivers and behaviours by name: a table first, entry points for names that are not in it
 ``rehearse/``      Rehearses faults: a whole swarm on a simulated clock whose processes may die at any moment
 ``robotarium/``    Runs scripts of the Robotarium's simulator in a laboratory
+``ros_bridge/``    The swarm as ROS 2 and ROS 1 see it, and commands of ROS for a named operator
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors
 ``stderr.py``      Keeps a process alive whose log is on a full disk

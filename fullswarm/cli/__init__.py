@@ -14,6 +14,7 @@ file               commands
 ``joystick.py``    `joystick`, `joystick list|test|map`
 ``audit.py``       `audit show|verify`
 ``record.py``      `record start|stop|info|repair`
+``ros.py``         `ros bridge`
 ``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``fixes.py``       `fixes`, `fixes record|play`

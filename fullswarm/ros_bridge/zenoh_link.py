@@ -212,6 +212,6 @@ def _origin(extra: Any) -> tuple[str, str]:
     """Return who sent a message, by its attachment, and what is wrong with that; rmw_zenoh refuses the same."""
     data = b"" if extra is None else extra.to_bytes()
     if len(data) != ATTACHMENT_BYTES or data[16] != GID_BYTES:
-        return "unknown", "a message without the attachment of rmw_zenoh (or of a version from before its 1.0)"
+        return "unknown", "a message without the attachment of rmw_zenoh (or of an early version of it)"
     _, _, _, gid = struct.unpack(f"<qqB{GID_BYTES}s", data)
     return f"gid {gid.hex()}", ""

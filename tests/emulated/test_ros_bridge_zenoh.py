@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 import zenoh
 
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.ros_bridge import codec as types
-from fullswarm.ros_bridge.link import LARGEST_BYTES, ROOM, Topic
+from fullswarm.ros_bridge.link import LARGEST_BYTES, ROOM, Incoming, Topic
 from fullswarm.ros_bridge.zenoh_link import ZenohLink
 from tests.system.ros_side import GID, STORE, RosSide, free_port
 from tests.waiting import until
@@ -49,8 +50,8 @@ def test_a_message_arrives_on_the_key_of_its_topic(ends: Ends) -> None:
     if not ends.native:
         assert extras == [b"", b"", b""]
         return
-    kind = tuple[zenoh.ext.Int64, zenoh.ext.Int64, bytes]
-    read = [zenoh.ext.z_deserialize(kind, zenoh.ZBytes(extra)) for extra in extras]
+    kind: Any = tuple[zenoh.ext.Int64, zenoh.ext.Int64, bytes]
+    read: list[Any] = [zenoh.ext.z_deserialize(kind, zenoh.ZBytes(extra)) for extra in extras]
     assert [int(number) for number, _, _ in read] == [1, 2, 3]
     assert all(abs(int(time_ns) - time.time_ns()) < 20e9 for _, time_ns, _ in read)
     assert len({gid for _, _, gid in read}) == 1
@@ -103,10 +104,11 @@ def test_messages_of_ros_wait_for_the_bridge_but_not_without_bound(ends: Ends) -
 
     def send() -> None:
         nonlocal sent
-        sent += 1
-        ends.ros.twist("r1/cmd_vel", 0.001 * sent)
+        for _ in range(50):
+            sent += 1
+            ends.ros.twist("r1/cmd_vel", 0.001 * sent)
 
-    until(lambda: ends.link.dropped > 200, each=lambda: [send() for _ in range(50)], what="messages are dropped")
+    until(lambda: ends.link.dropped > 200, each=send, what="messages are dropped")
     found = ends.link.take()
     assert len(found) == ROOM
     assert {each.problem for each in found} == {""}
@@ -129,7 +131,7 @@ def test_a_message_without_a_valid_attachment_is_named(extra: bytes | None) -> N
     ends.link.subscribe(CMD)
     until(lambda: any("cmd_vel" in each for each in ends.ros.tokens), what="the subscription is known")
     ends.ros.session.put(ends.ros.key("r1/cmd_vel", types.TWIST), b"x", attachment=extra)
-    found = []
+    found: list[Incoming] = []
     until(lambda: bool(found), each=lambda: found.extend(ends.link.take()), what="it arrives")
     assert "attachment" in found[0].problem
     ends.close()

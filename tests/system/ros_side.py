@@ -15,6 +15,8 @@ from typing import Any
 import zenoh
 from rosbags.typesys import Stores, get_typestore
 
+from fullswarm.bus.zenoh_bus import untyped
+
 STORE: Any = get_typestore(Stores.ROS2_JAZZY)
 GID = bytes(range(16))
 
@@ -104,9 +106,11 @@ class RosSide:
     def late(self, topic: str, kind: str) -> list[Any]:
         """Subscribe now, as a transient-local subscription; return what comes, which grows."""
         found: list[Any] = []
-        handler = zenoh.handlers.Callback(
-            lambda sample: found.append(STORE.deserialize_cdr(sample.payload.to_bytes(), kind)), indirect=False
-        )
+
+        def receive(sample: zenoh.Sample) -> None:
+            found.append(STORE.deserialize_cdr(sample.payload.to_bytes(), kind))
+
+        handler = zenoh.handlers.Callback(receive, indirect=False)
         history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
         key = self.key(topic, kind)
         self._kept.append(zenoh.ext.declare_advanced_subscriber(self.session, key, handler, history=history))
@@ -114,4 +118,4 @@ class RosSide:
 
     def close(self) -> None:
         self._kept.clear()
-        self.session.close()
+        untyped(self.session.close)

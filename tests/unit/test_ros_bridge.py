@@ -282,7 +282,7 @@ def test_the_papers_topics_show_which_behaviour_runs(bench: RosBench) -> None:
     ],
 )
 def test_options_that_cannot_work_are_refused_before_anything_is_connected(changed: dict[str, Any], words: str) -> None:
-    given = {"ros2": "tcp/127.0.0.1:7448", "domain": 0, "namespace": ""} | changed
+    given: dict[str, Any] = {"ros2": "tcp/127.0.0.1:7448", "domain": 0, "namespace": ""} | changed
     sides = Sides(given["ros2"], "zenoh", given["domain"], None, "")
     with pytest.raises(ConfigError, match=words):
         run_bridge(Target("tcp/127.0.0.1:7447"), sides, Options(given["namespace"]))
