@@ -19,7 +19,7 @@ import structlog
 from fullswarm.bus.base import Bus
 from fullswarm.bus.lanes import Bucket
 from fullswarm.errors import MessageError
-from fullswarm.keys import Keys
+from fullswarm.keys import ROBOT_ID, Keys
 from fullswarm.messages import BehaviourRequest, EStop, GridTiles, HealthReport, RobotStates, SeenObstacles, StopRequest
 from fullswarm.operator.client import Operator
 from fullswarm.operator.leases import LeaseHolder
@@ -169,12 +169,16 @@ class Bridge:
 
     # ------------------------------------------------------------ robots that come and go
     def _appear(self, robot: str, state: v.RobotState, now_s: float) -> Shown | None:
-        """Give a robot its topics; None: there is no room for it, or another one has its name in ROS."""
-        name = ros_name(robot)
-        if len(self._shown) >= MOST_ROBOTS or self._names.get(name, robot) != robot:
-            taken = self._names.get(name)
-            what = f"'{taken}' has the same name in ROS" if taken else f"{MOST_ROBOTS} robots are shown already"
-            self._complaints.add(robot, f"{robot} is not shown: {what}", now_s)
+        """Give a robot its topics; None: it cannot be shown, which is named."""
+        name, what = ros_name(robot), ""
+        if not ROBOT_ID.match(robot):  # it would become a part of keys
+            what = "this is no robot's name"
+        elif self._names.get(name, robot) != robot:
+            what = f"'{self._names[name]}' has the same name in ROS"
+        elif len(self._shown) >= MOST_ROBOTS:
+            what = f"{MOST_ROBOTS} robots are shown already"
+        if what:
+            self._complaints.add(f"{robot:.64}", f"{robot:.64} is not shown: {what}", now_s)
             return None
         self._names[name] = robot
         control_requests = ControlRequests(name, self._advertise, self._withdraw, self._publish)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 
+from fullswarm.keys import ROBOT_ID
 from fullswarm.messages import BehaviourRequest, Parameters, RobotHealth
 from fullswarm.recent import Recent
 from fullswarm.ros_bridge.codec import STRING
@@ -61,6 +62,8 @@ class ControlRequests:
 
     def update(self, health: RobotHealth, requests: SeenRequests) -> None:
         """Show what the robot runs now, if it is something else than before."""
+        if health.behaviour and not ROBOT_ID.match(health.behaviour):  # it would become a part of a key
+            return
         now = health.behaviour, health.request_id
         before, self._running = self._running, now
         if now == before:

@@ -84,11 +84,11 @@ class RosBench:
     def report(self) -> None:
         """Say where the robots are."""
         self.sequence += 1
-        for robot, (x_m, y_m, heading_rad) in self.pose.items():
-            self.swarm.bus.publish(KEYS.state("all", robot), RobotStates(
-                host=robot, sequence=self.sequence, stamp_s=self.swarm.runtime.now_s(), robots=(robot,), x_m=(x_m,),
-                y_m=(y_m,), heading_rad=(heading_rad,), speed_m_s=(0.25,), turn_rad_s=(-0.5,), radius_m=(0.17,),
-                **self.fields,
+        for number, (robot, (x_m, y_m, heading_rad)) in enumerate(self.pose.items()):
+            self.swarm.bus.publish(KEYS.state("all", f"host{number}"), RobotStates(
+                host=f"host{number}", sequence=self.sequence, stamp_s=self.swarm.runtime.now_s(), robots=(robot,),
+                x_m=(x_m,), y_m=(y_m,), heading_rad=(heading_rad,), speed_m_s=(0.25,), turn_rad_s=(-0.5,),
+                radius_m=(0.17,), **self.fields,
             ))  # fmt: skip
 
     def run(self, seconds: float) -> None:

@@ -233,6 +233,16 @@ def test_two_robots_of_one_name_in_ros_are_not_mixed_up(bench: RosBench) -> None
     assert "'a-b' has the same name in ROS" in bench.diagnostic("swarm: bridge").message
 
 
+@pytest.mark.parametrize("robot", ["", "a/b", "r*", "r 1", "$x", "é", "x" * 65, "#"])
+def test_a_name_that_would_damage_a_key_is_not_shown(bench: RosBench, robot: str) -> None:
+    bench.pose[robot] = (1.0, 0.0, 0.0)
+    bench.health("r0", behaviour="a/**")
+    bench.run(1.0)
+    assert {"r0/odom", "r1/odom"} == {each for each in bench.link.offered if each.endswith("odom")}
+    assert not any("**" in each for each in bench.link.offered)
+    assert "no robot's name" in bench.diagnostic("swarm: bridge").message
+
+
 def test_a_namespace_comes_before_every_topic() -> None:
     bench = RosBench(namespace="lab")
     bench.run(1.0)
