@@ -12,7 +12,8 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Literal
 
 import structlog
 
@@ -33,7 +34,7 @@ from fullswarm.ros_bridge.complaints import Complaints
 from fullswarm.ros_bridge.control_requests import ControlRequests, SeenRequests
 from fullswarm.ros_bridge.grid import JoinedGrid
 from fullswarm.ros_bridge.link import Incoming, Link, Topic, Values
-from fullswarm.ros_bridge.requests import Requests
+from fullswarm.ros_bridge.requests import Halted, Requests
 from fullswarm.runtime import Scheduler
 
 log = structlog.get_logger("fullswarm.ros")
@@ -52,6 +53,8 @@ _FIRST = re.compile(r"[A-Za-z_]")
 
 TF, TF_STATIC, MAP = Topic("tf", types.TF), Topic("tf_static", types.TF, latched=True), Topic("map", types.GRID, True)
 MARKERS, DIAGNOSTICS = Topic("swarm/markers", types.MARKERS), Topic("diagnostics", types.DIAGNOSTICS)
+SERVICES: Mapping[str, Literal["stop", "estop"]] = MappingProxyType({"swarm/stop": "stop", "swarm/estop": "estop"})
+"""Of the type std_srvs/srv/Trigger, on ROS 2; each halts all robots."""
 REQUEST, ANSWER = Topic("swarm/request", types.STRING), Topic("swarm/answer", types.STRING)
 
 
@@ -114,6 +117,7 @@ class Bridge:
         self._static: frozenset[str] = frozenset()
         self._up = {link.where: link.up for link in links}
         self._inputs: dict[str, tuple[str, str]] = {}  # topic → its type, robot
+        self._services: dict[str, Literal["stop", "estop"]] = {}  # by full name
         self._drives: dict[str, Drive] = {}
         self._leases = LeaseHolder(
             bus, keys, scheduler, operator.name, on_lost=self._taken_over, on_refused=self._not_granted
@@ -135,6 +139,11 @@ class Bridge:
         if options.commands:
             self._advertise(ANSWER)
             self._subscribe(REQUEST, "")
+            for name, op in SERVICES.items():
+                full = self._full(Topic(name, types.TRIGGER)).name
+                self._services[full] = op
+                for link in links:
+                    link.serve(full)
         self._timers = [
             scheduler.every(POLL_S, self._poll),
             scheduler.every(DIAGNOSTICS_S, self._publish_diagnostics),
@@ -256,6 +265,9 @@ class Bridge:
             drive.check()
 
     def _take(self, link: Link, incoming: Incoming) -> None:
+        if incoming.reply is not None:
+            self._call(self._services[incoming.topic], incoming.reply)
+            return
         kind, robot = self._inputs.get(incoming.topic, ("", ""))
         if not kind or self._ending:
             return  # the topic was withdrawn just now, or the bridge ends: nothing may start again
@@ -273,6 +285,18 @@ class Bridge:
             if not robot and self._complaints.answers(sender, now_s):
                 self._answer({"id": "", "phase": "refused", "reason": error.what})
             self._complaints.add(sender, error.what, now_s)
+
+    def _call(self, op: Literal["stop", "estop"], reply: Callable[[bool, str], None]) -> None:
+        """Halt all robots for a call of a service; the reply says which e-stops are confirmed."""
+
+        def answer(result: Halted) -> None:
+            if op == "stop":
+                reply(True, "a stop was sent to all robots")
+            else:
+                missing = f"; not by {', '.join(result.missing)}" if result.missing else ""
+                reply(not result.missing, f"confirmed by {', '.join(result.confirmed) or 'no robot'}{missing}")
+
+        self._asked.halt(op, (), answer)
 
     def _answer(self, answer: Mapping[str, Any]) -> None:
         if not self._closed:

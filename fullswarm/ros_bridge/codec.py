@@ -6,6 +6,7 @@ Extra: ``pip install 'fullswarm[ros-bridge]'``.
 from __future__ import annotations
 
 import functools
+import struct
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -18,6 +19,10 @@ TWIST, STRING = "geometry_msgs/msg/Twist", "std_msgs/msg/String"
 ODOMETRY, BATTERY = "nav_msgs/msg/Odometry", "sensor_msgs/msg/BatteryState"
 TF, GRID = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/OccupancyGrid"
 MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
+
+TRIGGER = "std_srvs/srv/Trigger"
+TRIGGER_HASH = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
+"""By REP 2016 of the service with its request, response and event, which rosbags does not have."""
 
 _TF_ROS1 = "geometry_msgs/TransformStamped[] transforms\n"
 """As published in ros/geometry2; rosbags does not have it among the types of ROS 1."""
@@ -67,7 +72,14 @@ class Codec:
 
     def type_hash(self, kind: str) -> str:
         """Return the hash of a type by REP 2016: ``RIHS01_…``."""
+        if kind == TRIGGER:
+            return TRIGGER_HASH
         return str(self._store.hash_rihs01(kind))
+
+    def trigger_response(self, success: bool, message: str) -> bytes:
+        """Return the response of a ``std_srvs/srv/Trigger`` in CDR: the flag, padding, and the text with its length."""
+        text = message.encode() + b"\0"
+        return struct.pack("<BBHB3xI", 0, 1, 0, success, len(text)) + text
 
     def definition(self, kind: str) -> tuple[str, str]:
         """Return the full text of a ROS 1 type, and its MD5 sum."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 Values = Mapping[str, Any]
@@ -33,12 +33,16 @@ class Topic(NamedTuple):
 
 
 class Incoming(NamedTuple):
-    """A message from ROS as it came; `problem` says why it is none, if that shows without decoding it."""
+    """A message from ROS as it came; `problem` says why it is none, if that shows without decoding it.
+
+    A call of a service has `reply`, which takes ``success`` and ``message`` of a ``std_srvs/srv/Trigger``.
+    """
 
     topic: str
     sender: str
     data: bytes
     problem: str = ""
+    reply: Callable[[bool, str], None] | None = None
 
 
 class Link(Protocol):
@@ -64,6 +68,10 @@ class Link(Protocol):
 
     def subscribe(self, topic: Topic) -> None:
         """Take the messages of a topic from now on; see `take`."""
+        ...
+
+    def serve(self, name: str) -> None:
+        """Offer a service of the type ``std_srvs/srv/Trigger``, whose calls `take` returns; not every side has them."""
         ...
 
     def withdraw(self, name: str) -> None:

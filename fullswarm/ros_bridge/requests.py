@@ -12,8 +12,9 @@ released nowhere but at the swarm's own tools.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 
@@ -51,6 +52,14 @@ class RosRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     team: TeamName = ""
     needs: Needs = Needs()
     roles: Roles = {}
+
+
+class Halted(NamedTuple):
+    """The result of a stop or an e-stop: robots addressed, none for all; those that confirmed an e-stop or did not."""
+
+    robots: tuple[str, ...]
+    confirmed: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
 
 
 _decoder = msgspec.json.Decoder(RosRequest)
@@ -100,8 +109,7 @@ class Requests:
             if not ROBOT_ID.match(name.removeprefix("@")):
                 raise MessageError(f"'{name:.70}' cannot name a robot")
         if asked.op != "request":
-            halts = self._stops if asked.op == "stop" else self._estops
-            halts.add(_without_groups(asked.robots), asked.id)
+            self.halt(asked.op, _without_groups(asked.robots), functools.partial(self._halted, asked))
         elif not asked.behaviour:
             raise MessageError("a request without a behaviour")
         elif not self._bucket.take(self._scheduler.now_s()):
@@ -134,23 +142,28 @@ class Requests:
         self._open[pending.request.id] = pending
         self._scheduler.after(ANSWER_S, give_up)
 
+    def _halted(self, asked: RosRequest, result: Halted) -> None:
+        about: dict[str, Any] = {"robots": list(result.robots)}
+        if asked.op == "estop":
+            about = {"confirmed": list(result.confirmed), "missing": list(result.missing)}
+        self._answer({"id": asked.id, "op": asked.op, **about})
+
     def _forget(self, pending: PendingRequest) -> None:
         self._operator.forget(pending)
         self._open.pop(pending.request.id, None)
 
-    def _stop(self, robots: tuple[str, ...], ids: tuple[str, ...]) -> None:
-        def done() -> None:
-            for each in ids:
-                self._answer({"id": each, "op": "stop", "robots": list(robots)})
+    def halt(self, op: Literal["stop", "estop"], robots: tuple[str, ...], answer: Callable[[Halted], None]) -> None:
+        """Stop robots, none for all, or latch their e-stop; `answer` is called with what has come of it."""
+        (self._stops if op == "stop" else self._estops).add(robots, answer)
 
-        self._operator.stop(robots, done)
+    def _stop(self, robots: tuple[str, ...], answer: Callable[[Halted], None]) -> None:
+        self._operator.stop(robots, lambda: answer(Halted(robots)))
 
-    def _estop(self, robots: tuple[str, ...], ids: tuple[str, ...]) -> None:
+    def _estop(self, robots: tuple[str, ...], answer: Callable[[Halted], None]) -> None:
         def done(order: EStopOrder) -> None:
-            confirmed = sorted(order.confirmed_s)
-            missing = sorted({*(robots or self._present())} - {*confirmed})
-            for each in ids:
-                self._answer({"id": each, "op": "estop", "confirmed": confirmed, "missing": missing})
+            confirmed = tuple(sorted(order.confirmed_s))
+            missing = tuple(sorted({*(robots or self._present())} - {*confirmed}))
+            answer(Halted(robots, confirmed, missing))
 
         self._operator.estop(True, robots, REASON, known=self._present, deadline_s=ESTOP_S, on_done=done)
 
@@ -163,35 +176,40 @@ class Gathered:
     Parameters
     ----------
     send
-        Called with the robots, none for all, and the ids of the orders that are joined.
+        Called with the robots, none for all, and with what is to be called with the result.
     """
 
-    def __init__(self, scheduler: Scheduler, send: Callable[[tuple[str, ...], tuple[str, ...]], None]) -> None:
+    def __init__(self, scheduler: Scheduler, send: Callable[[tuple[str, ...], Callable[[Halted], None]], None]) -> None:
         self._scheduler, self._send = scheduler, send
         self._robots: set[str] = set()
-        self._ids: list[str] = []
+        self._answers: list[Callable[[Halted], None]] = []
         self._all = self._gathering = False
 
-    def add(self, robots: tuple[str, ...], order_id: str) -> None:
+    def add(self, robots: tuple[str, ...], answer: Callable[[Halted], None]) -> None:
         """Halt robots; none: all."""
         self._all = self._all or not robots
         if not self._all:
             self._robots |= {*robots}
-        if len(self._ids) < OPEN:
-            self._ids.append(order_id)
+        if len(self._answers) < OPEN:
+            self._answers.append(answer)
         if not self._gathering:
             self._flush()
 
     def _flush(self) -> None:
-        self._gathering = bool(self._ids)
-        if self._ids:
-            robots = () if self._all else tuple(sorted(self._robots))
-            ids = tuple(self._ids)
-            self._robots.clear()
-            self._ids.clear()
-            self._all = False
-            self._scheduler.after(GATHER_S, self._flush)
-            self._send(robots, ids)
+        self._gathering = bool(self._answers)
+        if not self._answers:
+            return
+        robots = () if self._all else tuple(sorted(self._robots))
+        answers, self._answers = self._answers, []
+        self._robots.clear()
+        self._all = False
+        self._scheduler.after(GATHER_S, self._flush)
+
+        def answer(result: Halted) -> None:
+            for each in answers:
+                each(result)
+
+        self._send(robots, answer)
 
 
 def _undated(status: RequestStatus) -> RequestStatus:

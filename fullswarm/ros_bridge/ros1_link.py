@@ -102,6 +102,9 @@ class Ros1Link:
         self._arrived.setdefault(topic.name, deque(maxlen=ROOM))
         self._tell("subscribe", topic)
 
+    def serve(self, name: str) -> None:
+        """Offer nothing: on this side there are topics alone."""
+
     def _tell(self, op: str, topic: Topic) -> None:
         if topic.name in self._topics:
             return

@@ -7,6 +7,7 @@ subscriptions. zenoh-bridge-ros2dds: the key is the topic's name; its tokens nam
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import struct
@@ -22,13 +23,15 @@ from fullswarm.bus.zenoh_bus import HubLink, untyped
 from fullswarm.drivers.ros.relay_process import GID_BYTES, attachment
 from fullswarm.drivers.ros.zenoh_wire import dds_type
 from fullswarm.errors import ConfigError, Unreachable
-from fullswarm.ros_bridge.codec import Codec
+from fullswarm.ros_bridge.codec import TRIGGER, Codec
 from fullswarm.ros_bridge.link import LARGEST_BYTES, ROOM, Incoming, Topic, Values
 
 Keys = Literal["zenoh", "bridge"]
 CONNECT_S = 3.0
 NODE = "fullswarm"
-ATTACHMENT_BYTES = 8 + 8 + 1 + GID_BYTES
+ATTACHMENT = f"<qqB{GID_BYTES}s"
+"""Number, time in ns, length of the origin's id, that id."""
+ATTACHMENT_BYTES = struct.calcsize(ATTACHMENT)
 HEARTBEAT_S = 1.0
 """Of a latched topic: within this time a subscriber learns that it has missed the last message."""
 HINT = "start `ros2 run rmw_zenoh_cpp rmw_zenohd`, or zenoh-bridge-ros2dds with --keys bridge; --ros2 is its address"
@@ -136,6 +139,17 @@ class ZenohLink:
         channel.token = self._declare_token("MS", topic)
         self._channels[topic.name] = channel
 
+    def serve(self, name: str) -> None:
+        """Offer a service; only in the keys of rmw_zenoh."""
+        topic = Topic(name, TRIGGER)
+        if self._keys == "bridge" or name in self._channels:
+            return
+        channel = Channel(topic, self._key(topic))
+        handler = zenoh.handlers.Callback(functools.partial(self._called, channel), indirect=False)
+        channel.subscriber = self._session.declare_queryable(channel.key, handler, complete=True)
+        channel.token = self._declare_token("SS", topic)
+        self._channels[name] = channel
+
     def withdraw(self, name: str) -> None:
         """Offer and take a topic no more."""
         channel = self._channels.pop(name, None)
@@ -164,6 +178,22 @@ class ZenohLink:
             self.dropped += 1
         sender, problem = (channel.topic.name, "") if self._keys == "bridge" else _origin(sample.attachment)
         channel.waiting.append(Incoming(channel.topic.name, sender, sample.payload.to_bytes(), problem))
+
+    def _called(self, channel: Channel, query: zenoh.Query) -> None:
+        """Take in a call of a service, on a thread of zenoh; a call that finds no room gets no reply."""
+        sender, problem = _origin(query.attachment)
+        if len(channel.waiting) == ROOM or problem:
+            self.dropped += 1
+            return
+        number, _, _, gid = struct.unpack(ATTACHMENT, query.attachment.to_bytes())  # type: ignore[union-attr]
+
+        def reply(success: bool, message: str) -> None:
+            # The client knows its call by its own number and origin.
+            extra = attachment(number, self._wall_ns(), gid)
+            with contextlib.suppress(zenoh.ZError), query:  # it has waited for too long, or is gone
+                query.reply(channel.key, self._codec.trigger_response(success, message), attachment=extra)
+
+        channel.waiting.append(Incoming(channel.topic.name, sender, b"", reply=reply))
 
     def take(self) -> list[Incoming]:
         """Return what has come since the last call, at most what had come when it began."""
@@ -213,5 +243,5 @@ def _origin(extra: Any) -> tuple[str, str]:
     data = b"" if extra is None else extra.to_bytes()
     if len(data) != ATTACHMENT_BYTES or data[16] != GID_BYTES:
         return "unknown", "a message without the attachment of rmw_zenoh (or of an early version of it)"
-    _, _, _, gid = struct.unpack(f"<qqB{GID_BYTES}s", data)
+    _, _, _, gid = struct.unpack(ATTACHMENT, data)
     return f"gid {gid.hex()}", ""

@@ -158,3 +158,28 @@ def test_a_side_that_is_not_there_is_named_with_what_to_start() -> None:
     for wrong in ("127.0.0.1:7447", "tls/127.0.0.1:7447", "udp/127.0.0.1:1"):
         with pytest.raises(ConfigError):
             ZenohLink(wrong, "zenoh", 0, time.time_ns)
+
+
+def test_a_service_is_called_as_rmw_zenoh_calls_it() -> None:
+    ends = Ends(native=True)
+    ends.link.serve("swarm/stop")
+    hashed = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"  # in keys of public repositories
+    kind = f"std_srvs::srv::dds_::Trigger_/{hashed}"
+    token = rf"@ros2_lv/0/[0-9a-f]+/0/\d+/SS/%/%/fullswarm/%swarm%stop/{kind}/1:2:1,10:,:,:,,"
+    until(lambda: any(re.fullmatch(token, each) for each in ends.ros.tokens), what="the service is in the graph")
+    extra = zenoh.ext.z_serialize((zenoh.ext.Int64(41), zenoh.ext.Int64(time.time_ns()), GID))
+    handler: Any = zenoh.handlers.FifoChannel(8)
+    replies = ends.ros.session.get(
+        f"0/swarm/stop/{kind}", handler, payload=b"\0\1\0\0\0", attachment=extra, timeout=10.0,
+        target=zenoh.QueryTarget.ALL_COMPLETE, consolidation=zenoh.ConsolidationMode.NONE,
+    )  # fmt: skip
+    found: list[Incoming] = []
+    until(lambda: bool(found), each=lambda: found.extend(ends.link.take()), what="the call arrives")
+    assert found[0].reply is not None
+    found[0].reply(True, "done")
+    answer = replies.recv().ok
+    assert answer.payload.to_bytes() == b"\0\1\0\0" + b"\1\0\0\0" + b"\5\0\0\0done\0"
+    read: Any = tuple[zenoh.ext.Int64, zenoh.ext.Int64, bytes]
+    number, _, gid = zenoh.ext.z_deserialize(read, answer.attachment)
+    assert (int(number), gid) == (41, GID)
+    ends.close()

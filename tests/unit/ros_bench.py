@@ -28,6 +28,7 @@ class MemoryLink:
         self.taken: dict[str, Topic] = {}
         self.published: list[tuple[str, bytes]] = []
         self.waiting: list[Incoming] = []
+        self.served: list[str] = []
         self.closed = 0
 
     def advertise(self, topic: Topic) -> None:
@@ -35,6 +36,9 @@ class MemoryLink:
 
     def subscribe(self, topic: Topic) -> None:
         self.taken.setdefault(topic.name, topic)
+
+    def serve(self, name: str) -> None:
+        self.served.append(name)
 
     def withdraw(self, name: str) -> None:
         self.offered.pop(name, None)
@@ -123,6 +127,13 @@ class RosBench:
     def diagnostic(self, name: str) -> Any:
         newest = self.link.seen(f"{self.prefix}diagnostics")[-1]
         return next(each for each in newest.status if each.name == name)
+
+    def call(self, name: str) -> list[tuple[bool, str]]:
+        """Call a service; return the replies, which grow."""
+        replies: list[tuple[bool, str]] = []
+        reply = Incoming(name, "client", b"", reply=lambda success, text: replies.append((success, text)))
+        self.link.waiting.append(reply)
+        return replies
 
     # ------------------------------------------------------------ as the swarm has it
     def driven(self) -> list[BehaviourRequest]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from typing import Any, Literal
@@ -42,6 +43,37 @@ STATE = v.RobotState(1.0, 2.0, 0.5, 0.25, -0.5, 0.17, 0.5, 2.0, 0.03, 0.02, 4.0,
 )
 def test_type_hashes_are_those_of_ros(kind: str, known: str) -> None:
     assert Codec(2).type_hash(kind) == known
+
+
+def test_the_hash_of_the_service_is_that_of_rep_2016() -> None:
+    def field(name: str, kind: int, nested: str = "", capacity: int = 0) -> dict[str, Any]:
+        about = {"type_id": kind, "capacity": capacity, "string_capacity": 0, "nested_type_name": nested}
+        return {"name": name, "type": about}
+
+    service, message = "std_srvs/srv/Trigger", 1
+    flag, byte, text, int32, uint32, int64, array, bounded = 15, 3, 17, 6, 7, 8, 48, 96
+    fields = {
+        "builtin_interfaces/msg/Time": [field("sec", int32), field("nanosec", uint32)],
+        "service_msgs/msg/ServiceEventInfo": [
+            field("event_type", byte), field("stamp", message, "builtin_interfaces/msg/Time"),
+            field("client_gid", byte + array, capacity=16), field("sequence_number", int64),
+        ],
+        f"{service}_Event": [
+            field("info", message, "service_msgs/msg/ServiceEventInfo"),
+            field("request", message + bounded, f"{service}_Request", 1),
+            field("response", message + bounded, f"{service}_Response", 1),
+        ],
+        f"{service}_Request": [field("structure_needs_at_least_one_member", byte)],
+        f"{service}_Response": [field("success", flag), field("message", text)],
+    }  # fmt: skip
+    parts = ("request", "response", "event")
+    own = [field(f"{part}_message", message, f"{service}_{part.capitalize()}") for part in parts]
+    described = {
+        "type_description": {"type_name": service, "fields": own},
+        "referenced_type_descriptions": [{"type_name": name, "fields": fields[name]} for name in sorted(fields)],
+    }
+    digest = hashlib.sha256(json.dumps(described, separators=(", ", ": ")).encode()).hexdigest()
+    assert Codec(2).type_hash(service) == f"RIHS01_{digest}"
 
 
 @pytest.mark.parametrize(

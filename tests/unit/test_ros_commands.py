@@ -327,3 +327,19 @@ def test_both_kinds_of_ros_drive_and_request(ros: int) -> None:
     bench.run(1.0)
     assert bench.swarm.behaviours() == ["rendezvous_bc", "rendezvous_bc"]
     bench.close()
+
+
+# ---------------------------------------------------------------- services
+def test_services_stop_all_robots_and_latch_their_estops(bench: RosBench) -> None:
+    bench.run(0.2)
+    assert bench.link.served == ["swarm/stop", "swarm/estop"]
+    bench.ask({"behaviour": "rendezvous"})
+    bench.run(0.5)
+    replies = bench.call("swarm/stop")
+    bench.run(1.0)
+    assert bench.swarm.behaviours() == ["", ""]
+    assert replies == [(True, "a stop was sent to all robots")]
+    replies = bench.call("swarm/estop")
+    bench.run(6.0)
+    assert [robot.estop for robot in bench.swarm.robots.values()] == [True, True]
+    assert replies == [(False, "confirmed by no robot; not by r0, r1")]  # robots of this bench send no receipts
