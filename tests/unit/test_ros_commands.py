@@ -190,7 +190,7 @@ def test_the_end_of_the_bridge_stops_what_ros_drives_and_returns_it(bench: RosBe
     bench.stream("r0", 0.2, 0.5)
     done: list[float] = []
     bench.bridge.finish(lambda: done.append(bench.swarm.runtime.now_s()))
-    bench.run(1.5)
+    bench.stream("r0", 0.2, 1.5)  # ROS has not noticed, and goes on
     assert len(done) == 1
     assert (moving(bench.driven()[-1]), holder(bench, "r0")) == (False, "")
     idle: list[int] = []
