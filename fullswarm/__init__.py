@@ -48,6 +48,7 @@ Further files:
 ``registry.py``    Drivers and behaviours by name: a table first, entry points for names that are not in it
 ``rehearse/``      Rehearses faults: a whole swarm on a simulated clock whose processes may die at any moment
 ``robotarium/``    Runs scripts of the Robotarium's simulator in a laboratory
+``ros_bridge/``    The swarm as ROS 2 and ROS 1 see it, and commands of ROS for a named operator
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``schemas.py``     JSON Schemas of the messages, for programs in other languages
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors

@@ -100,8 +100,10 @@ def wire_key(key: str, sender: str) -> str:
     return f"{swarm}/{sender}{slash}{rest}"
 
 
-def client_config(hub: str, *, multicast: bool, credentials: Credentials | None = None) -> zenoh.Config:
-    """Return the configuration of a client of the hub at the endpoint `hub`.
+def client_config(
+    hub: str, *, multicast: bool, credentials: Credentials | None = None, **settings: object
+) -> zenoh.Config:
+    """Return the configuration of a client of the hub at the endpoint `hub`; further `settings` as in :func:`config`.
 
     Raises
     ------
@@ -121,6 +123,7 @@ def client_config(hub: str, *, multicast: bool, credentials: Credentials | None 
         secured = link_settings(credentials, listens=False)
     return config(
         **secured,
+        **settings,
         mode="client",
         connect__endpoints=[hub],
         connect__retry={
@@ -150,6 +153,8 @@ class HubLink:
         certificate of its authority, and passes on nothing of one that its list does not have.
     on_open
         Called once, on the link's thread, with the open session and before `up` becomes true.
+    settings
+        Of zenoh, in addition, as in :func:`config`.
 
     Raises
     ------
@@ -164,10 +169,11 @@ class HubLink:
         multicast: bool,
         on_open: Callable[[zenoh.Session], None],
         credentials: Credentials | None = None,
+        **settings: object,
     ) -> None:
         self.hub, self.up = hub, False
         self._on_open, self._credentials = on_open, credentials if is_secured(hub) else None
-        self._config = client_config(hub, multicast=multicast, credentials=credentials)
+        self._config = client_config(hub, multicast=multicast, credentials=credentials, **settings)
         self._routers: set[str] = set()
         self._admitted = self._credentials is None
         self._logged = ""

@@ -20,6 +20,7 @@ file               commands
 ``schema.py``      `schema`
 ``viewer.py``      `viewer foxglove|layout`
 ``metrics.py``     `metrics`
+``ros.py``         `ros bridge`
 ``console.py``     `console`, `console tokens add|list|revoke`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``fixes.py``       `fixes`, `fixes record|play`

@@ -38,6 +38,7 @@ from fullswarm.cli.record import record_app
 from fullswarm.cli.rehearse import rehearse
 from fullswarm.cli.replay import replay
 from fullswarm.cli.results import results_app
+from fullswarm.cli.ros import ros_app
 from fullswarm.cli.scenario import scenario_app
 from fullswarm.cli.signing import signing_app
 from fullswarm.cli.study import study_app
@@ -65,7 +66,7 @@ for command in (
 for group, name in (
     (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
     (audit_app, "audit"), (console_app, "console"), (record_app, "record"),
-    (viewer_app, "viewer"),
+    (viewer_app, "viewer"), (ros_app, "ros"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
 app.command()(mcp.mcp)

@@ -27,9 +27,9 @@ QOS = "1:2:1,1:,:,:,,"
 
 
 def dds_type(kind: str) -> str:
-    """Return a message type as it is in a key: ``geometry_msgs::msg::dds_::Twist_``."""
-    package, _, name = kind.split("/")
-    return f"{package}::msg::dds_::{name}_"
+    """Return a type as it is in a key: ``geometry_msgs::msg::dds_::Twist_``."""
+    package, sort, name = kind.split("/")
+    return f"{package}::{sort}::dds_::{name}_"
 
 
 def command_type(settings: Settings) -> str:
