@@ -13,7 +13,6 @@ passed over: no answer is a device that does not answer.
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import select
 import struct
@@ -82,6 +81,8 @@ class KernelBus:
 
     def __init__(self, path: str) -> None:
         try:
+            import fcntl
+
             import smbus2
         except ImportError as error:
             raise MissingExtra("`smbus2` is not installed", hint="pip install 'fullswarm[tof]'") from error

@@ -231,7 +231,10 @@ def end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> l
         server.should_exit = True
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, on_signal, number)
+        try:
+            loop.add_signal_handler(number, on_signal, number)
+        except NotImplementedError:  # on Windows, where Python itself carries the signal to its main thread
+            signal.signal(number, lambda number, _frame: loop.call_soon_threadsafe(on_signal, number))
     return received
 
 
