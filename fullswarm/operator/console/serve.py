@@ -157,7 +157,8 @@ def bind(host: str, port: int, listen: str, hint: str) -> socket.socket:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         # The system closes the connection of a page that takes nothing more without closing it itself.
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_LINK_MS)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux only; elsewhere its own limits are longer
+            listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_LINK_MS)
         listener.bind((host, port))
         listener.setblocking(False)
     except OSError as error:
