@@ -366,6 +366,8 @@ class LinkedDriver(Generic[C]):
 
     def _pipe(self) -> tuple[int, int]:
         try:
+            if hasattr(os, "pipe2"):  # macOS has none
+                return os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
             ends = os.pipe()
             for each in ends:
                 os.set_blocking(each, False)
