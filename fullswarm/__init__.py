@@ -44,6 +44,7 @@ Further files:
 ``recent.py``      A dict that keeps its newest entries
 ``memory.py``      Memory of a control law: arrays with one row per robot that are kept from call to call
 ``parameters.py``  Parameters of a request as a control law reads them
+``portability.py`` What operating systems do differently: locks, users; refuses what a system has no means for
 ``profiles.py``    Columns of what robots are and can do, as control laws read them
 ``registry.py``    Drivers and behaviours by name: a table first, entry points for names that are not in it
 ``rehearse/``      Rehearses faults: a whole swarm on a simulated clock whose processes may die at any moment

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-_CLOCK: int = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+_CLOCK: int | None = getattr(time, "CLOCK_BOOTTIME", None)
 
 
 class Clock(Protocol):
@@ -25,8 +25,8 @@ class MonotonicClock:
     """
 
     def now_s(self) -> float:
-        """Return seconds of ``CLOCK_BOOTTIME``, or of ``CLOCK_MONOTONIC`` where there is none."""
-        return time.clock_gettime(_CLOCK)
+        """Return seconds of ``CLOCK_BOOTTIME``, or of Python's monotonic clock where there is none."""
+        return time.monotonic() if _CLOCK is None else time.clock_gettime(_CLOCK)
 
 
 class SimClock:

@@ -104,7 +104,9 @@ class MachineDisk:
                 self._sync(file.parent)
 
     def _sync(self, folder: Path) -> None:
-        """Have the names in a folder on the disk too."""
+        """Have the names in a folder on the disk too; Windows opens no folder and writes them with the file."""
+        if os.name != "posix":
+            return
         opened = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(opened)

@@ -151,4 +151,6 @@ class TypedLines:
 
     def _in_background(self) -> bool:
         """Tell whether reading would stop the process: the terminal belongs to another one."""
+        if sys.platform == "win32":  # there a process in the background may read
+            return False
         return os.isatty(self._descriptor) and os.tcgetpgrp(self._descriptor) != os.getpgrp()

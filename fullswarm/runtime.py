@@ -24,6 +24,8 @@ from typing import Any, Protocol, TypeVar
 
 from fullswarm.clock import Clock, SimClock
 
+HANG_UP: signal.Signals | None = getattr(signal, "SIGHUP", None)
+"""Sent when a terminal is closed; None on Windows."""
 LATE_S = 0.001
 """A tick counts as late from here on."""
 
@@ -301,15 +303,15 @@ class Runtime:
 
         def on_signal(number: int, _frame: FrameType | None) -> None:
             if self._stopping:
-                if number == signal.SIGHUP:
+                if number == HANG_UP:
                     return  # the shell sends one and the kernel another: that is one request
                 signal.signal(number, signal.SIG_DFL)
                 signal.raise_signal(number)
             self.exit_signal = number
             self.stop()
 
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+        for number in (signal.SIGINT, signal.SIGTERM, HANG_UP):
+            if number is not None and (number != HANG_UP or signal.getsignal(number) != signal.SIG_IGN):
                 signal.signal(number, on_signal)
 
     def run(self, duration_s: float | None = None) -> None:

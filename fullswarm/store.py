@@ -309,7 +309,7 @@ class Store:
 
 def _make_private(path: Path) -> None:
     """Make the file, and what SQLite keeps beside it, for this user only: SQLite gives new ones the file's mode."""
-    os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+    os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
     for each in (path, *(path.with_name(path.name + suffix) for suffix in ("-wal", "-shm", "-journal"))):
         with contextlib.suppress(FileNotFoundError, PermissionError):  # of another user, who has let this one write
             each.chmod(0o600)

@@ -11,7 +11,6 @@ Writing never raises and never waits for a failed disk: entries that could not b
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import json
 import math
@@ -25,6 +24,7 @@ import structlog
 
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.errors import ConfigError
+from fullswarm.portability import lock as lock_file
 
 FIRST = "0" * 64
 HEAD = "head.json"
@@ -39,6 +39,7 @@ RETRY_S = 1.0
 SAY_S = 60.0
 
 log = structlog.get_logger()
+_to_disk: Callable[[int], None] = getattr(os, "fdatasync", os.fsync)  # macOS has the second only
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +167,7 @@ class AuditLog:
         if self._lock < 0:
             lock = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | (0 if self._wait else fcntl.LOCK_NB))
+                lock_file(lock, wait=self._wait)
             except OSError as error:
                 os.close(lock)
                 raise OSError(error.errno, "another process writes this audit log") from error
@@ -202,7 +203,7 @@ class AuditLog:
         return self.folder / f"{n:012d}{SUFFIX}"
 
     def _use(self, path: Path) -> None:
-        new = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        new = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o600)
         if self._file >= 0:
             os.close(self._file)
         self._file, self._size = new, os.fstat(new).st_size
@@ -258,11 +259,11 @@ class AuditLog:
         return start + b',"hash":"' + digest.encode() + b'"}\n', Head(n, digest)
 
     def _sync(self) -> None:
-        os.fdatasync(self._file)
+        _to_disk(self._file)
         # Not before the entries are on the disk: after a power cut the log must not end before its own note.
         text = json.dumps({"n": self._head.n, "hash": self._head.hash}) + "\n"
         part = self.folder / f".{HEAD}"
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
         try:
             os.write(descriptor, text.encode())
         finally:
@@ -271,12 +272,12 @@ class AuditLog:
         self._synced = self._head
 
     def _rotate(self) -> None:
-        os.fdatasync(self._file)
+        _to_disk(self._file)
         self._use(self._path(self._head.n + 1))
         for path in files_of(self.folder)[: -self._files]:
             last = _last_entry(path.read_bytes())
             self._put(Event("retention", {"until": last.n, "hash": last.hash}))
-            os.fdatasync(self._file)  # what is removed must have been stated
+            _to_disk(self._file)  # what is removed must have been stated
             path.unlink()
 
 
@@ -306,7 +307,7 @@ def unlocked(folder: Path) -> Path:
         except OSError:
             return path  # it is not there yet, or opening the log will say what is wrong
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(lock, wait=False)
         except OSError:
             continue
         finally:

@@ -7,7 +7,6 @@ import os
 import platform
 import re
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import fullswarm
 from fullswarm import output
 from fullswarm.errors import FullswarmError
+from fullswarm.launch.run_folder import user_path
 
 HUB_S = 0.5
 LISTEN_S = 1.0
@@ -111,17 +111,27 @@ def _commit() -> str:
 def _machine() -> dict[str, str]:
     from fullswarm.evaluate import provenance
 
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    free = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES")
     return {
         "python": f"{platform.python_version()} {platform.python_implementation()}, {short(sys.executable)}",
         "system": _system(),
         "kernel": f"{platform.system()} {platform.release()}",
         "architecture": f"{platform.machine()}, {platform.architecture()[0]}",
-        "processors": f"{os.cpu_count()}, {provenance.machine().partition(' x ')[0]}, load {os.getloadavg()[0]:.1f}",
-        "memory": f"{memory / 2**30:.1f} GiB, {free / 2**30:.1f} GiB free",
+        "processors": f"{os.cpu_count()}, {provenance.machine().partition(' x ')[0]}, load {_load()}",
+        "memory": _memory(),
         "terminal": f"{os.environ.get('TERM', 'unknown')}, {'a terminal' if sys.stdout.isatty() else 'into a file'}",
     }
+
+
+def _load() -> str:
+    return f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
+
+
+def _memory() -> str:
+    try:
+        page, *pages = (os.sysconf(f"SC_{name}") for name in ("PAGE_SIZE", "PHYS_PAGES", "AVPHYS_PAGES"))
+    except (AttributeError, ValueError):  # Windows has none of them, macOS not the last
+        return "unknown"
+    return "{:.1f} GiB, {:.1f} GiB free".format(*(page * each / 2**30 for each in pages))
 
 
 def _system() -> str:
@@ -140,7 +150,7 @@ def _folders() -> dict[str, str]:
         "state (latched e-stops, keys)": platformdirs.user_state_path("fullswarm"),
     }
     found = {name: f"{short(path)}{'' if path.exists() else ', not there'}" for name, path in places.items()}
-    return found | {"logs of `fullswarm up`": f"{short(tempfile.gettempdir())}/fullswarm-{os.getuid()}/run-*"}
+    return found | {"logs of `fullswarm up`": f"{short(user_path())}/run-*"}
 
 
 # ---------------------------------------------------------------- what runs, what is plugged in

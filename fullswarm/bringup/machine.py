@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import grp
 import importlib.metadata
 import importlib.util
 import os
 import platform
-import pwd
 import shutil
 import stat
 import subprocess
@@ -105,6 +103,8 @@ def access(path: str) -> Check:
 
 def _group(number: int) -> str:
     try:
+        import grp
+
         return grp.getgrgid(number).gr_name
     except KeyError:
         return str(number)
@@ -112,6 +112,8 @@ def _group(number: int) -> str:
 
 def _members(number: int) -> list[str]:
     try:
+        import grp
+
         return grp.getgrgid(number).gr_mem
     except KeyError:
         return []
@@ -119,6 +121,8 @@ def _members(number: int) -> list[str]:
 
 def _user() -> str:
     try:
+        import pwd
+
         return pwd.getpwuid(os.getuid()).pw_name
     except KeyError:  # a container's user without a name
         return str(os.getuid())

@@ -13,7 +13,7 @@ FIT_ON_AIR = 6
 """Compression level of the size that is printed: what a robot gets is compressed with it."""
 
 
-@shell_command()
+@shell_command(needs="posix")
 def bundle(
     target: Annotated[str, typer.Option("--target", metavar="NAME", help="rpi-arm64, jetson or x86_64.")],
     out: Annotated[

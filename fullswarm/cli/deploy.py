@@ -60,7 +60,7 @@ def _order(fleet: Path, robots: list[str] | None, **rest: Any) -> FleetRequest:
     return FleetRequest(fleet, tuple(robots or ()), **rest)
 
 
-@shell_command()
+@shell_command(needs="posix")
 def deploy(
     fleet: FleetFile,
     robots: Robots = None,
@@ -107,7 +107,7 @@ def deploy(
     )
 
 
-@shell_command()
+@shell_command(needs="posix")
 def update(
     fleet: FleetFile,
     robots: Robots = None,
@@ -158,7 +158,7 @@ def update(
     )
 
 
-@shell_command()
+@shell_command(needs="posix")
 def rollback(
     fleet: FleetFile,
     robots: Robots = None,
@@ -175,7 +175,7 @@ def rollback(
     return commands.rollback(_order(fleet, robots, **rest, as_json=as_json))
 
 
-@shell_command()
+@shell_command(needs="posix")
 def fleet(
     fleet: FleetFile,
     robots: Robots = None,
@@ -189,7 +189,7 @@ def fleet(
     return commands.fleet(_order(fleet, robots, ask_password=ask_password, at_a_time=at_a_time, as_json=as_json))
 
 
-@shell_command()
+@shell_command(needs="posix")
 def logs(
     robot: OneRobot,
     fleet: FleetFile,
@@ -204,7 +204,7 @@ def logs(
     return commands.logs(_order(fleet, [robot], ask_password=ask_password, as_json=as_json), lines, follow=follow)
 
 
-@shell_command()
+@shell_command(needs="posix")
 def shell(
     robot: OneRobot,
     fleet: FleetFile,
@@ -219,7 +219,7 @@ def shell(
     return commands.shell(_order(fleet, [robot], dry_run=dry_run), words or [])
 
 
-@shell_command()
+@shell_command(needs="posix")
 def reboot(
     fleet: FleetFile,
     robots: Robots = None,

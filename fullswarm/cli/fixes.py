@@ -59,7 +59,7 @@ def _url(source: str | None, listen: str | None) -> str:
 
 
 @fixes_app.callback()
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def fixes(
     context: typer.Context,
     target: Target,
@@ -109,7 +109,7 @@ def fixes(
 
 
 @fixes_app.command()
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def record(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="A new file, JSON lines.")],
     source: Source = None,
@@ -138,7 +138,7 @@ def record(
 
 
 @fixes_app.command()
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def play(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A file of `fixes record`.")],
     protocol: Annotated[

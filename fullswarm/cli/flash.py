@@ -20,7 +20,7 @@ class FirstBoot(StrEnum):
     FIRSTRUN = "firstrun"
 
 
-@shell_command()
+@shell_command(needs="linux")
 def flash(
     robots: Annotated[
         list[str] | None,

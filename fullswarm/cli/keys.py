@@ -76,7 +76,7 @@ def _facts(ours: Keys) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- certificates
 @keys_app.command()
-@shell_command()
+@shell_command(needs="posix")
 def init(
     fleet: Annotated[
         Path | None, typer.Argument(metavar="[FLEET.toml]", help="The fleet file: its swarm, robots and hub.")
@@ -126,7 +126,7 @@ def init(
 
 
 @keys_app.command()
-@shell_command()
+@shell_command(needs="posix")
 def issue(
     name: Name,
     role: Annotated[
@@ -171,7 +171,7 @@ def issue(
 
 
 @keys_app.command()
-@shell_command()
+@shell_command(needs="posix")
 def renew(
     names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Names (default: all valid).")] = None,
     swarm: Swarm = "swarm",
@@ -192,7 +192,7 @@ def renew(
 
 
 @keys_app.command()
-@shell_command()
+@shell_command(needs="posix")
 def revoke(
     names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Names whose certificates are revoked.")],
     swarm: Swarm = "swarm",

@@ -205,7 +205,7 @@ app.command("try", rich_help_panel=START)(tryout.try_)
 
 
 @app.command(rich_help_panel=START)
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def up(
     fleet: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="The fleet file.")],
     overrides: Overrides = None,
@@ -250,7 +250,7 @@ def info(target: Target, as_json: Json = False) -> int:
 
 
 @app.command(rich_help_panel=RUN)
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def hub(
     listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="The endpoint to listen on.")] = "tcp/127.0.0.1:7447",
     swarm: Annotated[str, typer.Option(help="The swarm whose certificates are valid, for tls/.")] = "swarm",
@@ -264,7 +264,7 @@ def hub(
 
 
 @app.command(rich_help_panel=RUN)
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def core(fleet: Fleet, overrides: Overrides = None, with_parent: WithParent = False) -> int:
     """Run the core: main controller, request handler, database, summarizers."""
     from fullswarm.launch import processes
@@ -273,7 +273,7 @@ def core(fleet: Fleet, overrides: Overrides = None, with_parent: WithParent = Fa
 
 
 @app.command(rich_help_panel=RUN)
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def centralised(fleet: Fleet, overrides: Overrides = None, with_parent: WithParent = False) -> int:
     """Run the centralised behaviours."""
     from fullswarm.launch import processes
@@ -282,7 +282,7 @@ def centralised(fleet: Fleet, overrides: Overrides = None, with_parent: WithPare
 
 
 @app.command(rich_help_panel=RUN)
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def agent(
     robot: Annotated[
         str, typer.Argument(help="The robot's id in the fleet file.", autocompletion=completion.fleet_robots)
@@ -311,7 +311,7 @@ def agent(
 
 
 @app.command(rich_help_panel=RUN)
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def sim(
     fleet: Fleet,
     overrides: Overrides = None,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fullswarm.cli.options import NamedTarget
 
 
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def mcp(
     context: typer.Context,
     target: NamedTarget,

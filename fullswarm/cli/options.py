@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -76,7 +76,9 @@ def robot_ids(names: Iterable[str] | None, *, groups: bool = False) -> tuple[str
     return tuple(dict.fromkeys(ids))
 
 
-def shell_command(*, logs: bool = False) -> Callable[[Callable[..., int]], Callable[..., None]]:
+def shell_command(
+    *, logs: bool = False, needs: Literal["", "posix", "linux"] = ""
+) -> Callable[[Callable[..., int]], Callable[..., None]]:
     """Make a command of a function that returns an exit code. Every command of ``fullswarm`` has this decorator.
 
     It adds ``--debug``; a parameter ``target: Target`` becomes ``--hub`` and ``--swarm``, and a ``NamedTarget``
@@ -86,6 +88,7 @@ def shell_command(*, logs: bool = False) -> Callable[[Callable[..., int]], Calla
     Parameters
     ----------
     logs : log lines go to stderr; for commands that run parts of a swarm in this process
+    needs : the operating system; on another one the command is refused, with exit code 2
     """
 
     def decorate(call: Callable[..., int]) -> Callable[..., None]:
@@ -100,6 +103,10 @@ def shell_command(*, logs: bool = False) -> Callable[[Callable[..., int]], Calla
         @functools.wraps(call)
         def command(*, debug: bool, **given: Any) -> None:
             def run() -> int:
+                if needs:
+                    from fullswarm.portability import check_system
+
+                    check_system("this command", needs)
                 if logs:
                     from fullswarm.output import log_to_stderr
 

@@ -24,7 +24,7 @@ File = Annotated[Path, typer.Argument(metavar="FILE.mcap", help="The recording."
 
 
 @record_app.command()
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def start(
     target: Target,
     out: Annotated[
@@ -48,7 +48,7 @@ def start(
 
 
 @record_app.command()
-@shell_command()
+@shell_command(needs="posix")
 def stop(swarm: Swarm = "swarm") -> int:
     """End the recordings of a swarm that run on this computer."""
     check_extra()

@@ -10,7 +10,7 @@ from fullswarm.cli.options import Json, shell_command
 from fullswarm.errors import ConfigError
 
 
-@shell_command()
+@shell_command(needs="posix")
 def rehearse(
     hours: Annotated[float, typer.Option(min=0.001, max=1e6, help="Simulated hours of the whole swarm.")] = 0.1,
     seed: Annotated[int, typer.Option(min=0, help="Chooses all faults and requests.")] = 0,
@@ -75,8 +75,10 @@ def _live(robots: int, minutes: float, every_s: float, seed: int, *, as_json: bo
     from dataclasses import asdict
 
     from fullswarm.output import data, data_json, log_to_stderr
+    from fullswarm.portability import need_linux
     from fullswarm.rehearse.live.rehearsal import LOSS, rehearse_live, text_of
 
+    need_linux("fullswarm rehearse --live")
     log_to_stderr(warnings_only=True)
     report = rehearse_live(robots, 60.0 * minutes, every_s, seed, LOSS)
     if as_json:

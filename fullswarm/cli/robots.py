@@ -26,7 +26,7 @@ def robots(context: typer.Context, target: Target, as_json: Json = False) -> int
 
 
 @robots_app.command()
-@shell_command(logs=True)
+@shell_command(logs=True, needs="linux")
 def find(
     port: Annotated[
         list[str] | None, typer.Option("--port", metavar="PATH", help="Search only this serial port.")
@@ -47,7 +47,7 @@ def find(
 
 
 @robots_app.command("test")
-@shell_command(logs=True)
+@shell_command(logs=True, needs="linux")
 def bring_up(
     url: Annotated[str, typer.Argument(metavar="URL", help="The driver's URL, as in a fleet file.")],
     speed: Annotated[float, typer.Option(min=0.02, max=0.5, help="Speed of the wheels, m/s.")] = 0.1,
@@ -63,7 +63,7 @@ def bring_up(
 
 
 @robots_app.command("check")
-@shell_command(logs=True)
+@shell_command(logs=True, needs="linux")
 def check(
     url: Annotated[
         str | None, typer.Argument(metavar="[URL]", help="The driver's URL, as in a fleet file; of any package.")
@@ -107,7 +107,7 @@ def check(
     )  # fmt: skip
 
 
-@shell_command(logs=True)
+@shell_command(logs=True, needs="linux")
 def doctor(
     fleet: Annotated[Path | None, typer.Argument(metavar="[FLEET.toml]", help="Check its hub and robots too.")] = None,
     robot: Annotated[
@@ -137,7 +137,7 @@ def doctor(
     return doctor.run(fleet, as_json=as_json)
 
 
-@shell_command(logs=True)
+@shell_command(logs=True, needs="linux")
 def emulate(
     make: Annotated[
         str,

@@ -29,7 +29,7 @@ def _group() -> None:
 
 
 @ros_app.command()
-@shell_command(logs=True)
+@shell_command(logs=True, needs="posix")
 def bridge(
     target: NamedTarget,
     ros2: Annotated[

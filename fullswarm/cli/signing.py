@@ -92,7 +92,7 @@ def _rows(keys: Keys) -> list[dict[str, Any]]:
 
 
 @signing_app.command()
-@shell_command()
+@shell_command(needs="posix")
 def rotate(key: Fresh = None, root_key: RootKeys = None) -> int:
     """Make another key the release key; robots accept the old one until it expires.
 
@@ -107,7 +107,7 @@ def rotate(key: Fresh = None, root_key: RootKeys = None) -> int:
 
 
 @signing_app.command()
-@shell_command()
+@shell_command(needs="posix")
 def revoke(
     fingerprint: Annotated[
         str | None, typer.Argument(metavar="[SHA256:…]", help="The release key (default: the one that signs now).")
@@ -137,7 +137,7 @@ def revoke(
 
 
 @signing_app.command()
-@shell_command()
+@shell_command(needs="posix")
 def root(
     add: Annotated[
         list[Path] | None, typer.Option("--add", metavar="FILE.pub", help="Another root key; may be repeated.")

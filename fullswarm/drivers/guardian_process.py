@@ -19,12 +19,10 @@ from __future__ import annotations
 
 import _socket  # the module `socket` without its wrapper, which takes as long to import as all the rest
 import errno
-import fcntl
 import os
 import select
 import signal
 import sys
-import termios
 import time
 
 ALIVE, BYTES, BYE, GONE, PLAN, STOPPED = b"\0", b"\1", b"\2", b"\3", b"\4", b"\5"
@@ -142,6 +140,9 @@ class Relay:
 
     def _waiting(self) -> bool:
         """Return whether bytes are still in the port's own buffer."""
+        import fcntl  # here, because a driver imports this file too, also where there is no such module
+        import termios
+
         return any(fcntl.ioctl(self._port, termios.TIOCOUTQ, bytes(4)))
 
 

@@ -366,7 +366,12 @@ class LinkedDriver(Generic[C]):
 
     def _pipe(self) -> tuple[int, int]:
         try:
-            return os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+            if hasattr(os, "pipe2"):  # macOS has none
+                return os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+            ends = os.pipe()
+            for each in ends:
+                os.set_blocking(each, False)
+            return ends
         except OSError as error:
             hint = "end other programs that hold many files or ports"
             what = f"the port cannot be served: {error.strerror or error}"

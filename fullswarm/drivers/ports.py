@@ -13,7 +13,6 @@ import math
 import os
 import select
 import socket
-import termios
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,6 +25,15 @@ from fullswarm.drivers.base import Pose
 from fullswarm.errors import ConfigError, DriverError
 from fullswarm.reasons import Code
 
+
+def _port_errors() -> tuple[type[Exception], ...]:
+    try:
+        import termios
+    except ImportError:  # Windows
+        return (OSError,)
+    return OSError, termios.error
+
+
 CONNECT_S = 1.0
 SILENT_S = 2.0
 PIECE = 512
@@ -33,6 +41,11 @@ PIECE = 512
 STREAM_CHUNK, DATAGRAM_CHUNK = 4096, 65536
 DATAGRAMS = 64
 """Datagrams taken at most between two looks at what is due."""
+
+PORT_ERRORS = _port_errors()
+"""What a serial port raises that is gone or none; ``SerialException`` is an ``OSError``."""
+
+_NOT_OPENED: tuple[type[Exception], ...] = (ValueError, *PORT_ERRORS)
 
 C = TypeVar("C")
 """What a port carries: bytes, or frames of a bus."""
@@ -143,7 +156,7 @@ class SerialPort(Port[bytes]):
 
     def set_dtr(self, high: bool) -> None:
         """Set the line DTR, where the device has one."""
-        with contextlib.suppress(OSError, termios.error):
+        with contextlib.suppress(*PORT_ERRORS):
             self._port.dtr = high
 
     def close(self) -> None:
@@ -282,13 +295,13 @@ def claim(path: str, baud: int) -> serial.Serial:
     """
     try:
         return serial.Serial(path, baud, timeout=0, write_timeout=0, exclusive=True)
-    except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError
+    except _NOT_OPENED as error:
         raise cannot_open(path, error) from error
 
 
 def cannot_open(where: str, error: Exception) -> DriverError:
     """Return what to raise for a port that does not open, with what to do about it."""
-    number = error.args[0] if isinstance(error, termios.error) else getattr(error, "errno", None)
+    number = getattr(error, "errno", None) or (error.args[0] if error.args else None)  # termios.error has the latter
     if number == errno.ENOTTY or "not configure port" in str(error):
         return DriverError("this is not a serial port", where=where, hint=f"ports now: {_ports()}")
     if number in (errno.EAGAIN, errno.EBUSY):

@@ -23,6 +23,7 @@ from typing import Protocol, Self, TypeVar
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.emulators.ports import Port, plug
 from fullswarm.errors import LinkLost
+from fullswarm.portability import need_linux
 from fullswarm.simulation.bodies import Body, FreeBody
 
 T = TypeVar("T")
@@ -211,6 +212,7 @@ class Emulator(ABC):
         """Switch it on. Starting twice is fine."""
         if self._thread is None and not self._closed:
             self._power_on(self._clock.now_s())
+            need_linux("an emulated robot")
             self._waker = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             self._thread = threading.Thread(target=self._run, name=f"emulator {self.url}", daemon=True)
             self._thread.start()

@@ -14,18 +14,16 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
 import socket
 import struct
 import tempfile
-import termios
-import tty
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
 from fullswarm.errors import ConfigError, DriverError
+from fullswarm.portability import lock as lock_file
 
 CHUNK = 65536
 BURST = 64
@@ -34,7 +32,7 @@ LATE_BYTES = 4000
 """When this much waits for a reader it loses what follows, as with a real port. A terminal holds up to 4095."""
 PTS = "/dev/pts/"
 """Where a link left behind by an emulator leads; any other belongs to another program."""
-RATES = {getattr(termios, f"B{rate}"): rate for rate in (300, 600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)}
+RATES = (300, 600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 
 
 class Port(Protocol):
@@ -245,6 +243,8 @@ class PtyPort:
         """Make the device."""
         if self._master >= 0:
             return
+        import tty
+
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)  # or the terminal echoes what the robot sends back to it
         os.set_blocking(self._master, False)
@@ -263,7 +263,12 @@ class PtyPort:
     @property
     def baud(self) -> int | None:
         """The rate that the other side has set; 0 for one that no robot has, None when unplugged."""
-        return None if self._master < 0 else RATES.get(termios.tcgetattr(self._master)[5], 0)
+        import termios
+
+        if self._master < 0:
+            return None
+        speed = termios.tcgetattr(self._master)[5]
+        return next((rate for rate in RATES if getattr(termios, f"B{rate}") == speed), 0)
 
     def fileno(self) -> int:
         """Return the descriptor; -1 while unplugged, or while no program has the device open."""
@@ -287,6 +292,9 @@ class PtyPort:
         """Write a chunk; lost when a late reader has enough waiting for it."""
         waiting = len(self._backlog)
         if self._slave >= 0:
+            import fcntl
+            import termios
+
             waiting += struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, b"\0" * 4))[0]
         if self._master < 0 or waiting >= LATE_BYTES:
             self.lost += 1
@@ -337,7 +345,7 @@ def _lock(path: str) -> int:
         hint = "its folder must exist and be writable"
         raise DriverError(f"no port can be made here: {error.strerror}", where=path, hint=hint) from error
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock_file(lock, wait=False)
     except OSError as error:
         os.close(lock)
         if error.errno not in (errno.EAGAIN, errno.EACCES):

@@ -26,6 +26,7 @@ from fullswarm.identity.certificates import DAY_S, Certificate, when
 from fullswarm.identity.credentials import Credentials, Grant, Role, check_grants
 from fullswarm.identity.folder import KeysFolder
 from fullswarm.identity.private import check_name, check_private, read_pem
+from fullswarm.portability import user_id
 
 AUTHORITY_DAYS = 3650.0
 DAYS = 30.0
@@ -428,7 +429,7 @@ def revoke(folder: KeysFolder, name: str) -> tuple[Grant, ...]:
 
 def _record(folder: KeysFolder, result: str, what: dict[str, object]) -> None:
     """Write a change into the audit log of the keys."""
-    by = f"uid-{os.getuid()}@{socket.gethostname()}"
+    by = f"uid-{user_id()}@{socket.gethostname()}"
     record(folder.path / AUDIT, f"keys-{os.getpid()}", Event("key", what, result=result, operator=by))
 
 

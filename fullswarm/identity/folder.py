@@ -13,7 +13,6 @@ certificate keeps its path when it is renewed, so that the next connection of it
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 from collections.abc import Iterable, Iterator
@@ -29,6 +28,7 @@ from fullswarm.files import replace_file
 from fullswarm.identity.credentials import Credentials, Grant, Role, check_grants, read_grants
 from fullswarm.identity.private import LONGEST_NAME, check_name, check_private, read_pem, usable
 from fullswarm.keys import ROBOT_ID
+from fullswarm.portability import lock as lock_file
 
 KEYS = "FULLSWARM_KEYS"
 """Names another folder for all keys of a base station: those of SSH and releases, and the folder below."""
@@ -226,7 +226,7 @@ class KeysFolder:
             place.touch(0o600)
             lock = place.open("a")
         with lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            lock_file(lock.fileno(), wait=True)
             yield
 
     def take_over(self, issued: Path, name: str) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fullswarm.errors import ConfigError
 from fullswarm.keys import ROBOT_ID
+from fullswarm.portability import seen_by_others
 
 LONGEST_NAME = 53
 """Characters; a common name has room for 64, and a generation follows the name."""
@@ -39,7 +40,7 @@ def check_private(path: Path) -> None:
     """
     with usable(path.parent, path):
         mode = path.stat().st_mode
-    if mode & 0o077:
+    if seen_by_others(mode):
         hint = f"chmod {'700' if path.is_dir() else '600'} '{path}'"
         raise ConfigError("other users can read this, and it is private", where=str(path), hint=hint)
 

@@ -184,7 +184,9 @@ class JournalFile:
             raise OSError(f"{MOST_FILES} files of it wait to be read")
         self._number += 1
         path = self._folder / f"{self._process}.{self._number:06d}{SUFFIX}"
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o600)
+        self._file = os.open(
+            path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o600
+        )
         self._size = 0
 
     def _attempt(self, act: Callable[[], None]) -> None:

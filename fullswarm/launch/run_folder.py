@@ -8,7 +8,6 @@ is not used: it is removed when the user logs out, and a swarm started with ``no
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import shutil
 import stat
@@ -18,11 +17,18 @@ from pathlib import Path
 
 from fullswarm.clock import wall_time_s
 from fullswarm.errors import ConfigError
+from fullswarm.portability import lock as lock_file
+from fullswarm.portability import need_posix, user_id
 
 RUNS = "run-"
 KEPT = "kept"
 """A file in the folder of a run whose logs an error has named."""
 KEPT_S = 7 * 86400.0
+
+
+def user_path() -> Path:
+    """Return where :func:`user_folder` is, made or not."""
+    return Path(tempfile.gettempdir()) / f"fullswarm-{user_id()}"
 
 
 def user_folder() -> Path:
@@ -31,9 +37,10 @@ def user_folder() -> Path:
     Raises
     ------
     ConfigError
-        What is there is a link, belongs to another user, or others may write to it.
+        This system is not one of POSIX; what is there is a link, belongs to another user, or others may write to it.
     """
-    path = Path(tempfile.gettempdir()) / f"fullswarm-{os.getuid()}"
+    need_posix("a swarm of processes on this computer")
+    path = user_path()
     with contextlib.suppress(FileExistsError):
         path.mkdir(mode=0o700)
     found = path.lstat()
@@ -65,7 +72,7 @@ class RunFolder:
         new = Path(tempfile.mkdtemp(prefix=".", dir=parent))
         # Held as long as this process lives, whatever ends it; before others can find the folder by its name.
         self._lock = os.open(new, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        fcntl.flock(self._lock, fcntl.LOCK_EX)
+        lock_file(self._lock, wait=True)
         self.path = new.rename(parent / f"{RUNS}{new.name[1:]}")
 
     def keep(self) -> None:
@@ -84,11 +91,14 @@ class RunFolder:
 
 def running() -> Iterator[Path]:
     """Yield the folders of this user's runs that go on now; raises as `user_folder`."""
-    for path in sorted(user_folder().glob(f"{RUNS}*")):
+    folder = user_folder()
+    import fcntl
+
+    for path in sorted(folder.glob(f"{RUNS}*")):
         with contextlib.suppress(OSError):  # removed meanwhile
             lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
             try:
-                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared: two programs may look at once
             except BlockingIOError:
                 yield path
             finally:
@@ -103,7 +113,7 @@ def _remove_left(parent: Path) -> None:
         except OSError:
             continue  # removed meanwhile
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(lock, wait=False)
             if not _is_kept(path):
                 shutil.rmtree(path, ignore_errors=True)
         except BlockingIOError:

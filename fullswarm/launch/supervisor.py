@@ -178,8 +178,9 @@ class Supervisor:
             raise ConfigError(f"a robot cannot be called '{name}': a process of the swarm is", where="robot.id")
         self.children[name] = Child(name, arguments, guest)
 
-    def kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:
-        """Send a signal to a child: what a crash, a power cut or an operator does."""
+    def kill(self, name: str, number: signal.Signals | None = None) -> None:
+        """Send a signal to a child, SIGKILL if none is named: what a crash, a power cut or an operator does."""
+        number = number or signal.SIGKILL
         process = self.children[name].process
         if process is not None:
             process.send_signal(number)

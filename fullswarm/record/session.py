@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import platform
@@ -28,6 +27,7 @@ from fullswarm.launch.journals import code_hash, journal_folder
 from fullswarm.launch.processes import RUN, serve, state_folder
 from fullswarm.operator.session import CONNECT_S, Target
 from fullswarm.output import progress
+from fullswarm.portability import lock
 from fullswarm.record.recorder import Recorder, journals_in, no_journals
 from fullswarm.record.recording import Attachment, Recording
 from fullswarm.runtime import Mailbox, Runtime
@@ -131,7 +131,7 @@ def running() -> Iterator[Running]:
     for path in sorted(_folder().glob("*.json")):
         with contextlib.suppress(OSError, ValueError, TypeError), path.open("r+b") as file:
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock(file.fileno(), wait=False)
             except BlockingIOError:  # its recorder holds the lock as long as it lives
                 yield Running(**json.loads(file.read()))
             else:
@@ -146,7 +146,7 @@ def _announced(found: Running) -> Iterator[None]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         file = path.open("w+b")
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(file.fileno(), wait=False)
         _write(file, found)
     except OSError as error:
         log.warning("`fullswarm record stop` will not find this recording", reason=str(error))

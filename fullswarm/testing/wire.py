@@ -15,13 +15,13 @@ import os
 import select
 import socket
 import tempfile
-import termios
 import threading
-import tty
 from pathlib import Path
 from typing import Protocol, Self
 
 import serial
+
+from fullswarm.drivers.ports import PORT_ERRORS
 
 POLL_S = 0.02
 CHUNK = 65536
@@ -170,9 +170,11 @@ class _SerialEnds:
         try:
             if self._device is None:
                 self._device = serial.Serial(self._path, self._baud, timeout=0, write_timeout=0, exclusive=True)
-        except (OSError, termios.error):
+        except PORT_ERRORS:
             return False
         if self._master < 0:
+            import tty
+
             self._master, self._slave = os.openpty()
             tty.setraw(self._slave)  # or the terminal echoes what is written into it
             os.set_blocking(self._master, False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import fcntl
 import hashlib
 import json
 import shutil
@@ -26,6 +25,7 @@ from fullswarm.drivers.make import make_of
 from fullswarm.drivers.ranges import extra_of
 from fullswarm.errors import ConfigError, MessageError
 from fullswarm.files import replace_file
+from fullswarm.portability import lock as lock_file
 
 if TYPE_CHECKING:
     from fullswarm.config import RobotConfig, SwarmConfig
@@ -207,7 +207,7 @@ class Desired:
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             with self.file.with_suffix(".lock").open("a") as lock:
-                fcntl.flock(lock, fcntl.LOCK_EX)  # another terminal may update other robots
+                lock_file(lock.fileno(), wait=True)  # another terminal may update other robots
                 replace_file(self.file, json.dumps({**self.read(), **releases}, indent=1, sort_keys=True) + "\n")
         except OSError as error:
             output.progress(f"warning: {self.file}: cannot store what robots should run: {error.strerror}")

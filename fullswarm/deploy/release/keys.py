@@ -11,7 +11,6 @@ Each key is made when it is first needed, in one folder that no other user may r
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import shutil
@@ -46,6 +45,7 @@ from fullswarm.errors import ConfigError
 from fullswarm.files import replace_file
 from fullswarm.identity.folder import KEYS, keys_folder
 from fullswarm.identity.private import usable
+from fullswarm.portability import lock as lock_file
 
 _NAME = re.compile(r"[0-9A-Za-z_][0-9A-Za-z_.-]*")
 _RELEASE = "release_ed25519"
@@ -271,7 +271,7 @@ class Keys:
         """Hold the lock: two keys of one name would lock a user out of the fleet."""
         _folder(self.folder)
         with (self.folder / ".lock").open("a") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            lock_file(lock.fileno(), wait=True)
             yield
 
 

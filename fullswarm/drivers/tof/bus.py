@@ -13,7 +13,6 @@ passed over: no answer is a device that does not answer.
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import select
 import struct
@@ -34,7 +33,8 @@ SUM_BYTES = 4
 LONGEST = _HEAD.size + 255 + SUM_BYTES
 _SET_TIMEOUT = 0x0702
 """Of ``linux/i2c-dev.h``; in 10 ms."""
-_NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.EAGAIN, errno.EIO})
+_REMOTE = getattr(errno, "EREMOTEIO", errno.EIO)  # Linux only, as buses of the kernel are
+_NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, _REMOTE, errno.ETIMEDOUT, errno.EAGAIN, errno.EIO})
 
 
 class NoAnswer(OSError):
@@ -82,6 +82,8 @@ class KernelBus:
 
     def __init__(self, path: str) -> None:
         try:
+            import fcntl
+
             import smbus2
         except ImportError as error:
             raise MissingExtra("`smbus2` is not installed", hint="pip install 'fullswarm[tof]'") from error

@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
@@ -31,7 +30,7 @@ def serve(connection: Connection, work: Work, parent: int) -> None:
     """Run the trials that come through `connection` until it ends: what a worker process does."""
     from fullswarm.output import log_to_stderr
 
-    os.setsid()  # a group of its own: ended with all that a trial has started, and out of reach of Ctrl-C
+    _leave_group()
     _die_with(parent)
     log_to_stderr(warnings_only=True)  # a thousand trials brake a thousand times: that is counted, not logged
     while True:
@@ -45,6 +44,14 @@ def serve(connection: Connection, work: Work, parent: int) -> None:
             return
 
 
+def _leave_group() -> None:
+    """Have a group of its own: ended with all that a trial has started, and out of reach of Ctrl-C."""
+    if sys.platform == "win32":  # no groups: Ctrl-C is ignored, and a lockstep trial has started nothing
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    else:
+        os.setsid()
+
+
 def _die_with(parent: int) -> None:
     """Have the kernel end this process when `parent` dies; where it cannot, the end of the pipe does later."""
     if sys.platform == "linux":
@@ -56,6 +63,11 @@ def _die_with(parent: int) -> None:
 @contextmanager
 def uninterruptible_children() -> Iterator[None]:
     """Start processes that Ctrl-C does not reach: they would end with stack traces, and we end them anyway."""
+    if sys.platform == "win32":  # no masks: the child ignores the signal once it has started
+        yield
+        return
+    from multiprocessing import resource_tracker
+
     resource_tracker.ensure_running()  # of multiprocessing; starting it unblocks the signal
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -85,7 +97,7 @@ class Worker:
         if dying:
             self.process.join(DYING_S)
         code = self.process.exitcode
-        if self.process.pid is not None:
+        if self.process.pid is not None and sys.platform != "win32":
             with suppress(ProcessLookupError, PermissionError):  # before it made a group; after all of it ended
                 os.killpg(self.process.pid, signal.SIGKILL)
         self.process.kill()

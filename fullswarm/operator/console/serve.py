@@ -157,7 +157,8 @@ def bind(host: str, port: int, listen: str, hint: str) -> socket.socket:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         # The system closes the connection of a page that takes nothing more without closing it itself.
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_LINK_MS)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux only; elsewhere its own limits are longer
+            listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_LINK_MS)
         listener.bind((host, port))
         listener.setblocking(False)
     except OSError as error:
@@ -231,7 +232,10 @@ def end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> l
         server.should_exit = True
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, on_signal, number)
+        try:
+            loop.add_signal_handler(number, on_signal, number)
+        except NotImplementedError:  # on Windows, where Python itself carries the signal to its main thread
+            signal.signal(number, lambda number, _frame: loop.call_soon_threadsafe(on_signal, number))
     return received
 
 

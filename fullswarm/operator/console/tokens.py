@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import os
 import re
 import secrets
-import stat
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +22,7 @@ from msgspec import Meta
 
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.files import replace_file
+from fullswarm.portability import seen_by_others, user_id
 
 Role = Literal["operator", "observer"]
 """An observer's page shows everything and sends nothing, not even a stop."""
@@ -135,7 +134,7 @@ def check_private(path: Path) -> None:
         found = path.stat()
     except OSError:
         return  # reading it will say why
-    if found.st_uid not in (os.getuid(), 0) or stat.S_IMODE(found.st_mode) & 0o077:
+    if seen_by_others(found.st_mode) or str(found.st_uid) not in (user_id(), "0"):
         raise ConfigError("other users can read this secret", where=str(path), hint=f"chmod 600 {path}")
 
 

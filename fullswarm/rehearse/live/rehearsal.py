@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import math
-import resource
 import shutil
 import signal
 import subprocess
@@ -285,6 +284,8 @@ class LiveRehearsal:
         process = self.supervisor.children["core"].process
         if process is None or process.poll() is not None:
             return
+        import resource  # Linux only
+
         before = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (0, before[1]))
         self._go_down(DISK_FULL)
