@@ -20,7 +20,7 @@ DOERS = {
         "fixes record",
         "fixes play",
         "init",
-        "mcp",
+        *("mcp", "ros bridge"),
         *("track run", "track init", "track sheets", "track calibrate lens", "track calibrate floor"),
     ),  # run, or make, something
     *(
