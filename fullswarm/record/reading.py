@@ -27,6 +27,7 @@ class Contents:
     ----------
     whole : it has its end; else it was cut off, and what is stated is what can be read
     about : metadata by name, e.g. versions; counts of what was lost at the end
+    attachments : name → bytes of all attachments of that name
     topics : (topic, schema) → messages
     """
 
@@ -74,7 +75,7 @@ def contents(path: Path) -> Contents:
         elif isinstance(record, Metadata):
             found.about[record.name] = dict(record.metadata)
         elif isinstance(record, Attachment):
-            found.attachments[record.name] = len(record.data)
+            found.attachments[record.name] = found.attachments.get(record.name, 0) + len(record.data)
         elif isinstance(record, Footer):
             found.whole = True
     return found

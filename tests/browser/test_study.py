@@ -233,9 +233,10 @@ def until_started(console: Console) -> None:
 
     def press() -> bool:
         with suppress(PlaywrightTimeout):  # the trial may begin, and the button go, between the look and the click
-            if button.is_visible() and button.is_enabled():
-                button.click(timeout=2000)
-        return console.named("study-strip").is_visible()
+            if button.is_visible():
+                button.click(timeout=2000)  # which waits for it to be enabled, and no longer than that if it goes
+        # Its attribute: the first question may cover the page while the click above still waits for the button.
+        return console.named("study-strip").get_attribute("hidden") is None
 
     console.until(press, 60.0, "the trial begins")
 
