@@ -26,7 +26,7 @@ SUFFIX = ".journal"
 FILE_BYTES = 8_000_000
 """From this size on a process begins its next file, so that what has been read can be removed."""
 MOST_FILES = 8
-"""Files of one process that nobody has read, because the recorder has died; then it stops to write."""
+"""Unread files of one process at most, as there are when no recorder runs; its journal ends then."""
 HEADER = struct.Struct("<II")
 """Before each block of a file: length and CRC-32 of the compressed bytes that follow."""
 LARGEST_BLOCK = 256 * 2**20

@@ -264,7 +264,7 @@ ESTOP = (
 )
 STOP = "Stop robots, whatever they do, whoever asked for it. Not latched: the next request starts them again."
 TAKE = (
-    "Hold robots for some seconds: nobody else's requests move them, and yours may. Refused while another operator "
+    "Hold robots for some seconds: requests of other operators do not move them, yours may. Refused while another one "
     "holds one. Call it again to hold longer."
 )
 REQUEST = (

@@ -1,4 +1,4 @@
-"""Carries out requests that ROS sends in JSON, as the operator whom the bridge names, and answers them in JSON.
+"""Carries out requests that ROS sends in JSON, as the operator that the bridge names, and answers them in JSON.
 
 A request is an object on the topic ``swarm/request``::
 
