@@ -179,7 +179,9 @@ class Judge:
 
 
 def fleet(robots: int) -> dict[str, Any]:
-    """Return the settings of the swarm."""
+    """Return the settings of the swarm; its robots start in a square, beside the box if its side is even."""
+    side = max(2, math.ceil(math.sqrt(robots)))
+    places = np.linspace(1.0, SIZE_M - 1.0, side).tolist()
     return {
         "swarm": "hostile",
         "world": {
@@ -189,8 +191,7 @@ def fleet(robots: int) -> dict[str, Any]:
         },
         "agent": {"speed_limit_m_s": SPEED_M_S},
         "robot": [
-            {"id": f"r{row + 1}", "pose": [1.0 + 4.0 * (row % 2), 1.0 + 4.0 * (row // 2 % 2) + 1.0 * (row // 4), 0.0]}
-            for row in range(robots)
+            {"id": f"r{row + 1}", "pose": [places[row % side], places[row // side], 0.0]} for row in range(robots)
         ],
     }  # fmt: skip
 
