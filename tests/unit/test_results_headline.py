@@ -54,7 +54,7 @@ def test_the_interval_is_that_of_the_seeds_means(tmp_path: Path) -> None:
     differences = [1.0 - (3 + 9) / 2, 1.0 - (5 + 8) / 2, 1.0 - (4 + 1) / 2]
     low, high = stats.t.interval(0.95, 2, np.mean(differences), stats.sem(differences))
     assert found.whole.difference == pytest.approx(np.mean(differences))
-    assert (found.whole.low, found.whole.high) == (pytest.approx(low), pytest.approx(high))
+    assert (found.whole.low, found.whole.high) == pytest.approx((low, high))
     assert found.whole.differences == pytest.approx(tuple(differences))
     assert "paired over 3 seeds, mean over 2 cells" in found.sentence
     assert signed(low, 2) in found.sentence
@@ -68,7 +68,7 @@ def test_without_a_common_seed_the_sides_are_two_groups(tmp_path: Path) -> None:
     found = found_in(tmp_path)
     known = stats.ttest_ind(sides["move_to_goal_bc"], sides["move_to_goal"], equal_var=False).confidence_interval()
     assert not found.paired
-    assert (found.whole.low, found.whole.high) == (pytest.approx(known.low), pytest.approx(known.high))
+    assert (found.whole.low, found.whole.high) == pytest.approx((known.low, known.high))
     assert "two independent groups" in found.sentence
     assert found.whole.differences == ()
 
