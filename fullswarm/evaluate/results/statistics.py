@@ -188,7 +188,10 @@ def two_groups(a: Values, b: Values, confidence: float = CONFIDENCE) -> tuple[fl
         return difference, math.nan, math.nan
     # Not scipy.stats.ttest_ind, which warns when one of the groups does not vary.
     parts = [float(each.var(ddof=1)) / each.size for each in (first, second)]
-    freedom = sum(parts) ** 2 / sum(v * v / (each.size - 1) for v, each in zip(parts, (first, second), strict=True))
+    below = sum(part**2 / (each.size - 1) for part, each in zip(parts, (first, second), strict=True))
+    if not below > 0.0:  # variances that are too small for a number
+        return difference, math.nan, math.nan
+    freedom = sum(parts) ** 2 / below
     half = float(_scipy_stats().t.ppf(0.5 + 0.5 * confidence, freedom)) * math.sqrt(sum(parts))
     return difference, difference - half, difference + half
 
