@@ -124,7 +124,10 @@ def _mlflow_errors(target: str) -> Iterator[None]:
         text = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         module = type(error).__module__.partition(".")[0]
         if module in ("requests", "urllib3") or "HTTP" in text or "Connection" in text:
-            raise Unreachable(f"the tracking server does not answer: {text[:300]}", where=target) from error
+            what = "does not answer" if "Max retries" in text else f"refuses: {text[:200]}"
+            raise Unreachable(
+                f"the tracking server {what}", where=target, hint="is it the server's address?"
+            ) from error
         if module in ("mlflow", "sqlalchemy", "alembic", "builtins"):
             hint = "a folder, sqlite:///FILE.db, or http://HOST:5000"
             raise ConfigError(f"MLflow cannot write there: {text[:300]}", where=target, hint=hint) from error
