@@ -153,7 +153,7 @@ def _show_sample(trials: list[StoredTrial], what: str, as_json: bool) -> int:
             _number(each.minimum),
             _number(each.maximum),
         )
-    output.data_table(table, into_file=150)
+    output.data_table(table, into_file=175)
     return 0
 
 
@@ -236,18 +236,17 @@ def compare(words: list[str], by: str | None, with_cells: bool, as_json: bool) -
 
 def _print_comparison(found: Comparison, with_cells: bool) -> None:
     output.data(f"A: {found.a}\nB: {found.b}\n{found.pairs} pairs; alone: {found.alone_a} of A, {found.alone_b} of B")
-    numbers = ("pairs", "A", "B", "B - A", "95 % interval", "shift", "dz", "r", "p rank", "p Holm", "p sign")
+    numbers = ("pairs", "A", "B", "B - A", "95 % interval", "dz", "r", "p rank", "p Holm", "p sign")
     table = output.plain_table(*["cell"] * with_cells, "source", "quantity", "unit", numbers=numbers)
     for each in found.overall + (found.cells if with_cells else []):
         if is_dull(each.name):
             continue
         row = _comparison_row(each)
         table.add_row(*row if with_cells else row[1:])
-    output.data_table(table, into_file=180 if with_cells else 130)
+    output.data_table(table, into_file=190 if with_cells else 140)
     output.data(
-        "interval: Student's t, of the mean; shift: Hodges-Lehmann; dz: Cohen's; r: rank-biserial; p rank, p sign: "
-        "signed-rank and sign test, two-sided; p Holm: p rank, corrected for the rows "
-        f"{'of all cells, or of all together' if with_cells else 'of this table'}"
+        "interval: Student's t; dz: Cohen's; r: rank-biserial; p rank, p sign: signed-rank and sign test, two-sided;\n"
+        f"p Holm: p rank, corrected for the rows of {'all cells, or of all together' if with_cells else 'this table'}"
     )
 
 
@@ -263,7 +262,6 @@ def _comparison_row(each: MetricComparison) -> tuple[str, ...]:
         _number(result.mean_b),
         _number(result.mean_difference),
         _interval(result.low, result.high),
-        _number(result.shift),
         "-" if result.dz is None else f"{result.dz:.2f}",
         f"{result.rank_biserial:+.2f}",
         f"{result.wilcoxon_p:.3g}",
