@@ -52,10 +52,16 @@ def export(
         typer.Option("--out", metavar="FILE", help="The file to write (default: results.FORMAT in the folder)."),
     ] = None,
     long: Annotated[bool, typer.Option("--long", help="Write a row per trial and quantity, not per trial.")] = False,
+    mlflow: Annotated[
+        str | None,
+        typer.Option("--mlflow", metavar="URI|DIR", help="Write a run per trial into MLflow instead of a table."),
+    ] = None,
 ) -> int:
-    """Write all figures of all trials as a table; print the file's name."""
+    """Write all figures of all trials as a table, and print the file's name; or as runs into MLflow."""
     from fullswarm.evaluate.results import commands as results
 
+    if mlflow is not None:
+        return results.export_mlflow(folder, mlflow)
     return results.export(folder, form, out, long)
 
 

@@ -44,12 +44,13 @@ def show(name: Name, seed: Seed = 0, robots: Robots = 4, as_json: Json = False) 
 @shell_command(logs=True)
 def import_world(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A world of Gazebo, ARGoS, Stage, Menge or IR-SIM, or a ROS map.")
+        Path,
+        typer.Argument(metavar="FILE", help="A world of Gazebo, ARGoS, Player/Stage, Menge or IR-SIM, or a ROS map."),
     ],
     form: Annotated[
         str | None,
         typer.Option(
-            "--format", metavar="sdf|argos|stage|menge|irsim|map", help="The format (default: from the file)."
+            "--format", metavar="sdf|argos|stage|player|menge|irsim|map", help="The format (default: from the file)."
         ),
     ] = None,
     out: Annotated[
@@ -72,6 +73,9 @@ def export(
     robots: Robots = 4,
     seed: Seed = 0,
     cell: Annotated[float, typer.Option(metavar="METRES", min=0.001, max=10, help="Size of the map's cells.")] = 0.05,
+    model: Annotated[
+        str, typer.Option("--model", metavar="create2|create1|roomba500", help="The robot of an SDF world.")
+    ] = "create2",
     driven: Annotated[
         bool, typer.Option("--driven", help="Write robots with wheels and Gazebo's DiffDrive, not cylinders.")
     ] = False,
@@ -79,4 +83,4 @@ def export(
     """Write a scenario for Gazebo (SDF 1.9), or as a map for ROS (PGM and YAML)."""
     from fullswarm.evaluate.scenarios import commands as scenario_tasks
 
-    return scenario_tasks.export(name, form, robots, seed, out, cell, driven)
+    return scenario_tasks.export(name, form, robots, seed, out, cell, model, driven)

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from fullswarm.evaluate.results import read_records, write_plots, write_report
-from fullswarm.evaluate.results.figures import collisions_plot, means_plot, trajectories_plot
+from fullswarm.evaluate.results.cards import card_of
+from fullswarm.evaluate.results.figures import collisions_plot, means_plot, trajectories_plot, unlinked
 from fullswarm.evaluate.results.report import cells_grid, filter_grid, interval, p_text, trials_grid
 from fullswarm.evaluate.results.sample import bare, conditions, is_filtered
 from fullswarm.evaluate.trial_folder import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE
@@ -224,9 +225,12 @@ def test_the_box_plot_shows_every_trial(tmp_path: Path) -> None:
     (condition,) = conditions(read_records(tmp_path))
     plot = collisions_plot(condition, "c")
     assert plot is not None
-    # Points, one diamond, one mark in the legend, ticks: the points' marker is the one used most.
-    uses = re.findall(r'href="#(m\w+)"', plot.svg)
-    assert max(uses.count(each) for each in set(uses)) in (5, 6)  # five trials; the legend's mark is larger
+    links = re.findall(r'<a xlink:href="#(trial-[^"]+)"', plot.svg)
+    counted = [each for each in read_records(tmp_path) if each.counts]
+    assert links == [f"trial-{each.path.name}" for each in counted]
+    assert len(links) == 5
+    assert "<a" not in unlinked(plot.svg)
+    assert ET.fromstring(unlinked(plot.svg)).tag.endswith("svg")
     assert means_plot(condition, "m") is not None
 
 
@@ -254,3 +258,50 @@ def test_of_many_conditions_only_so_many_arenas_are_drawn(tmp_path: Path, monkey
     monkeypatch.setattr("fullswarm.evaluate.results.report.MOST_ARENAS", 1)
     ids = Page(write_report(tmp_path).read_text("utf-8")).of("id")
     assert [each for each in ids if each.startswith(("trajectories", "coverage"))] == ["trajectories-empty-title"]
+
+
+def test_panels_that_are_compared_have_one_scale(tmp_path: Path) -> None:
+    write_folder(tmp_path, behaviours=("move_to_goal",), sizes=(4,), seeds=3)
+    (condition,) = conditions(read_records(tmp_path))
+    plot = collisions_plot(condition, "c")
+    assert plot is not None
+    # Text of the vertical axes: of both panels the same, though one scenario has more collisions than the other.
+    ticks = re.findall(r"<text[^>]*text-anchor: end[^>]*>([\d.]+)</text>", plot.svg)
+    assert ticks
+    assert ticks[: len(ticks) // 2] == ticks[len(ticks) // 2 :]
+
+
+def test_each_trial_has_a_card_with_its_files_and_the_commands_that_show_it(folder: Path, text: str) -> None:
+    records = read_records(folder)
+    assert text.count('<section class="card"') == len(records)
+    one = next(each for each in records if each.counts)
+    card = card_of(one, folder)
+    assert f'<section class="card" id="{card.anchor}">' in text
+    commands = [command for command, _ in card.commands]
+    assert f"fullswarm experiment replay {folder.name} --trial {one.path.name} --to trial.mp4" in commands
+    assert f"fullswarm experiment trial {folder.name}/trials/{one.path.name}" in commands
+    assert not any("fullswarm replay" in each for each in commands)
+    assert all((folder / href).exists() for _, href in card.files)
+    assert ("Started", "2026-11-21 04:00:00 UTC") in card.facts
+    assert not re.search(r"\d\.\d{5}", " ".join(value for _, value in card.facts))
+
+
+def test_a_card_names_the_recording_and_pictures_that_are_there(tmp_path: Path) -> None:
+    path = write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0))
+    (path / "film.gif").write_bytes(b"GIF89a")
+    (tmp_path / "recordings").mkdir()
+    recording = tmp_path / "recordings" / f"{path.name}.mcap"
+    recording.write_bytes(b"")
+    card = card_of(read_records(tmp_path)[0], tmp_path)
+    assert ("recording", f"recordings/{recording.name}") in card.files
+    assert ("film.gif", f"trials/{path.name}/film.gif") in card.files
+    assert f"fullswarm replay {tmp_path.name}/recordings/{recording.name}" in [command for command, _ in card.commands]
+
+
+def test_the_filter_s_p_values_are_corrected_for_their_number(folder: Path) -> None:
+    (condition,) = conditions(read_records(folder))
+    grid = filter_grid(condition)
+    assert grid is not None
+    assert grid.headers[-2:] == ["p (signed-rank)", "p (Holm)"]
+    for row in grid.rows:
+        assert float(row[-1].text) >= float(row[-2].text)

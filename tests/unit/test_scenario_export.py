@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from fullswarm.drivers.create_oi.protocol import GENERATIONS
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.scenarios import (
     Box,
@@ -127,6 +128,25 @@ def test_an_exported_seeds_random_boxes_become_fixed_ones(tmp_path: Path, seed: 
     assert same_boxes(imported.scenario.boxes, boxes_for(scenario, seed))
     assert imported.scenario.bounds_m == scenario.bounds_m
     assert len(imported.starts) == 8
+
+
+@pytest.mark.parametrize("model", ["create1", "create2", "roomba500"])
+def test_the_exported_robot_has_the_drivers_dimensions(model: str) -> None:
+    record = GENERATIONS[model]
+    root = ET.fromstring(scenario_to_sdf(load_scenario("empty"), 0, 1, model=model, driven=True))
+    robot = root.find("world/model[@name='robot_1']")
+    assert robot is not None
+    assert float(robot.findtext("link/collision/geometry/cylinder/radius") or 0) == record.radius_m
+    wheels = [float((each.findtext("pose") or "").split()[1]) for each in robot.findall("link")[1:]]
+    assert wheels == [record.wheel_base_m / 2, -record.wheel_base_m / 2]
+    assert float(robot.findtext("plugin/wheel_separation") or 0) == record.wheel_base_m
+    assert float(robot.findtext("plugin/max_linear_velocity") or 0) == 0.5
+    assert sum(float(mass.text or 0) for mass in robot.iter("mass")) == pytest.approx(3.6)
+
+
+def test_an_unknown_robot_is_named() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'create2'"):
+        scenario_to_sdf(load_scenario("empty"), 0, 1, model="create_2")
 
 
 def test_an_exported_world_has_what_gazebo_needs() -> None:

@@ -21,6 +21,7 @@ EXAMPLES = {
     "hall.sdf": "sdf",
     "hall.argos": "argos",
     "hall.world": "stage",
+    "hall.cfg": "player",
     "hall.xml": "menge",
     "hallS.xml": "menge",
     "hall.yaml": "irsim",

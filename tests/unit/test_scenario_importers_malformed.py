@@ -17,7 +17,8 @@ pytest.importorskip("defusedxml")
 pytest.importorskip("yaml")
 
 FILES = Path(__file__).parent / "scenario_files"
-SOURCES = {"sdf": "hall.sdf", "argos": "hall.argos", "stage": "hall.world", "menge": "hallS.xml", "irsim": "hall.yaml",
+SOURCES = {"sdf": "hall.sdf", "argos": "hall.argos", "stage": "hall.world",
+    "player": "hall.cfg", "menge": "hallS.xml", "irsim": "hall.yaml",
            "map": "hall_map.yaml"}  # fmt: skip
 PICTURE = "hall_map.pgm"
 """Of the map; it lies beside it."""
@@ -128,7 +129,8 @@ def test_a_broken_world_is_told_with_its_place(tmp_path: Path, form: str, text: 
 def test_damaged_files_raise_nothing_else(tmp_path: Path, form: str, data: st.DataObject) -> None:
     picture = form == "map" and data.draw(st.booleans())
     source = (FILES / (PICTURE if picture else SOURCES[form])).read_bytes()
-    (tmp_path / PICTURE).write_bytes((FILES / PICTURE).read_bytes())
+    for name in (PICTURE, "hall.world"):
+        (tmp_path / name).write_bytes((FILES / name).read_bytes())
     start = data.draw(st.integers(0, len(source)))
     length = data.draw(st.integers(0, 40))
     inserted = data.draw(st.one_of(st.binary(max_size=6), st.sampled_from([b"-1", b"1e999", b"nan", b"[", b"<", b"]"])))
@@ -153,7 +155,8 @@ def test_absurd_numbers_raise_nothing_else(tmp_path: Path, form: str, data: st.D
         text = text[: place.start()] + data.draw(st.sampled_from(ABSURD)) + text[place.end() :]
     path = tmp_path / "absurd"
     path.write_text(text)
-    (tmp_path / PICTURE).write_bytes((FILES / PICTURE).read_bytes())
+    for name in (PICTURE, "hall.world"):
+        (tmp_path / name).write_bytes((FILES / name).read_bytes())
     try:
         imported = read_world(path, form)
     except ConfigError:

@@ -7,7 +7,7 @@ import sqlite3
 import sys
 import tempfile
 import webbrowser
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,8 @@ from fullswarm.evaluate.results.compare import compare as compare_folders
 from fullswarm.evaluate.results.export import WRITERS, long, wide, write_table
 from fullswarm.evaluate.results.folder import Folder, StoredTrial, find_trial, older_text, read_folder
 from fullswarm.evaluate.results.index import INDEX_FILE, open_index, rebuild
-from fullswarm.evaluate.results.quantities import Key, in_order, is_dull, range_of, values_of
-from fullswarm.evaluate.results.statistics import Described, describe
+from fullswarm.evaluate.results.quantities import SHARES, Key, in_order, is_dull, range_of, values_of
+from fullswarm.evaluate.results.statistics import Described, describe, wilson
 from fullswarm.evaluate.scenarios.maps import coverage_map, occupied_cells, write_map
 from fullswarm.evaluate.trial_folder import TRAJECTORY_FILE, read_coverage, read_trajectory
 from fullswarm.units import unit_of
@@ -136,7 +136,7 @@ def _show_sample(trials: list[StoredTrial], what: str, as_json: bool) -> int:
         output.data_json({"filter": what, **counts, "ids": [each.record.id for each in trials], "metrics": rows})
         return 0
     output.data(", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items()))
-    numbers = ("trials", "mean", "95 % interval", "median", "quartiles", "least", "most")
+    numbers = ("trials", "mean", "95 % interval", "median", "95 % interval", "quartiles", "least", "most")
     table = output.plain_table("source", "quantity", "unit", numbers=numbers)
     for key, each in found:
         if is_dull(key[1]):
@@ -148,11 +148,12 @@ def _show_sample(trials: list[StoredTrial], what: str, as_json: bool) -> int:
             _number(each.mean),
             _interval(each.low, each.high),
             _number(each.median),
+            _interval(each.median_low, each.median_high),
             f"{_number(each.lower_quartile)} to {_number(each.upper_quartile)}",
             _number(each.minimum),
             _number(each.maximum),
         )
-    output.data_table(table, into_file=150)
+    output.data_table(table, into_file=175)
     return 0
 
 
@@ -178,6 +179,15 @@ def export(folder: Path, form: str, out: Path | None, as_long: bool) -> int:
     path = out or folder / f"results.{form}"
     write_table(table, path, form)
     output.data(str(path))
+    return 0
+
+
+def export_mlflow(folder: Path, target: str) -> int:
+    """Write all trials into MLflow and print what was done."""
+    from fullswarm.evaluate.results.mlflow import export_mlflow as write
+
+    done = write(_read(folder), target)
+    output.data(f"{done.experiment}: {done.new} runs written, {done.replaced} replaced, {done.kept} unchanged")
     return 0
 
 
@@ -226,15 +236,18 @@ def compare(words: list[str], by: str | None, with_cells: bool, as_json: bool) -
 
 def _print_comparison(found: Comparison, with_cells: bool) -> None:
     output.data(f"A: {found.a}\nB: {found.b}\n{found.pairs} pairs; alone: {found.alone_a} of A, {found.alone_b} of B")
-    numbers = ("pairs", "A", "B", "B - A", "95 % interval", "dz", "r", "p rank", "p sign")
+    numbers = ("pairs", "A", "B", "B - A", "95 % interval", "dz", "r", "p rank", "p Holm", "p sign")
     table = output.plain_table(*["cell"] * with_cells, "source", "quantity", "unit", numbers=numbers)
     for each in found.overall + (found.cells if with_cells else []):
         if is_dull(each.name):
             continue
         row = _comparison_row(each)
         table.add_row(*row if with_cells else row[1:])
-    output.data_table(table, into_file=180 if with_cells else 130)
-    output.data("dz: Cohen's; r: rank-biserial; p: signed-rank and sign test, two-sided, not corrected for many rows")
+    output.data_table(table, into_file=190 if with_cells else 140)
+    output.data(
+        "interval: Student's t; dz: Cohen's; r: rank-biserial; p rank, p sign: signed-rank and sign test, two-sided;\n"
+        f"p Holm: p rank, corrected for the rows of {'all cells, or of all together' if with_cells else 'this table'}"
+    )
 
 
 def _comparison_row(each: MetricComparison) -> tuple[str, ...]:
@@ -252,6 +265,7 @@ def _comparison_row(each: MetricComparison) -> tuple[str, ...]:
         "-" if result.dz is None else f"{result.dz:.2f}",
         f"{result.rank_biserial:+.2f}",
         f"{result.wilcoxon_p:.3g}",
+        f"{each.wilcoxon_holm_p:.3g}",
         f"{result.sign_p:.3g}",
     )
 
@@ -277,7 +291,11 @@ def _print_problems(read: Folder) -> None:
 
 def _described(key: Key, values: list[float]) -> Described:
     least, most = range_of(key)
-    return describe(values, at_least=least, at_most=most)
+    described = describe(values, at_least=least, at_most=most)
+    if key not in SHARES:
+        return described
+    low, high = wilson(sum(value > 0.0 for value in values), len(values))
+    return replace(described, low=low, high=high)
 
 
 def _plain(described: Described) -> dict[str, float | None]:

@@ -12,11 +12,13 @@ import msgspec
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Cell, differ_by_group
 from fullswarm.evaluate.results.folder import StoredTrial, read_records
-from fullswarm.evaluate.results.quantities import Key, in_order, values_of
-from fullswarm.evaluate.results.statistics import Paired, paired
+from fullswarm.evaluate.results.quantities import Key, in_order, is_dull, values_of
+from fullswarm.evaluate.results.statistics import Paired, holm, paired
 from fullswarm.units import unit_of
 
 PairKey = tuple[object, ...]
+CellKey = tuple[tuple[str, object], ...]
+"""What cells of partners share: names of fields and their values."""
 FIELDS = ("behaviour", "scenario", "robots", "engine", "limits", "network", "noise_m", "noise_rad", "group")
 Read = Callable[[Path], list[StoredTrial]]
 
@@ -29,6 +31,7 @@ class MetricComparison:
     name: str
     cell: str
     result: Paired
+    wilcoxon_holm_p: float  # corrected for the number of quantities, or of quantities in all cells
 
     @property
     def unit(self) -> str:
@@ -69,7 +72,7 @@ def compare(a: Path, b: Path, read: Read = read_records) -> Comparison:
     across = not (names[0] & names[1]) and len(names[0]) == len(names[1]) == 1
     without = "behaviour" if across else ""
     groups = any(differ_by_group(each.record.trial.cell for each in side) for side in (first, second))
-    return compare_trials(first, second, (str(a), str(b)), lambda cell: _condition(cell, without, groups))
+    return compare_trials(first, second, (str(a), str(b)), lambda cell: condition_of(cell, without, groups))
 
 
 def compare_by(out: Path, field: str, a: str, b: str, read: Read = read_records) -> Comparison:
@@ -93,7 +96,7 @@ def compare_by(out: Path, field: str, a: str, b: str, read: Read = read_records)
             raise ConfigError(f"no trial has {field} '{value}'", where=str(out), hint=did_you_mean(value, known))
         sides.append(fits)
     groups = differ_by_group(each.record.trial.cell for each in trials)
-    return compare_trials(sides[0], sides[1], (a, b), lambda cell: _condition(cell, field, groups))
+    return compare_trials(sides[0], sides[1], (a, b), lambda cell: condition_of(cell, field, groups))
 
 
 def compare_trials(
@@ -123,18 +126,32 @@ def compare_trials(
         pairs=len(pairs),
         alone_a=len(a) - len(pairs),
         alone_b=len(b) - len(pairs),
-        overall=_metrics("", [(one, other) for _, one, other in pairs]),
-        cells=[each for key, some in cells.items() for each in _metrics(" ".join(filter(None, map(_text, key))), some)],
+        overall=_corrected(_metrics("", [(one, other) for _, one, other in pairs])),
+        cells=_corrected(
+            [each for key, some in cells.items() for each in _metrics(" ".join(filter(None, map(_text, key))), some)]
+        ),
     )
 
 
-def _metrics(cell: str, pairs: list[tuple[dict[Key, float], dict[Key, float]]]) -> list[MetricComparison]:
+def _corrected(found: list[_Measured]) -> list[MetricComparison]:
+    """Return comparisons with p values corrected for all that people read; the same clock many times counts never."""
+    tested = holm([result.wilcoxon_p for (_, name), _, result in found if not is_dull(name)])
+    return [
+        MetricComparison(*key, cell, result, result.wilcoxon_p if is_dull(key[1]) else tested.pop(0))
+        for key, cell, result in found
+    ]
+
+
+_Measured = tuple[Key, str, Paired]
+
+
+def _metrics(cell: str, pairs: list[tuple[dict[Key, float], dict[Key, float]]]) -> list[_Measured]:
     found = []
     for key in in_order(key for pair in pairs for values in pair for key in values):
         both = [(one[key], other[key]) for one, other in pairs if key in one and key in other]
         if both:
             result = paired([one for one, _ in both], [other for _, other in both])
-            found.append(MetricComparison(*key, cell, result))
+            found.append((key, cell, result))
     return found
 
 
@@ -155,7 +172,7 @@ def _by_key(trials: list[StoredTrial], name: str, condition: Callable[[Cell], Pa
     return found
 
 
-def _condition(cell: Cell, without: str, groups: bool) -> PairKey:
+def condition_of(cell: Cell, without: str, groups: bool) -> CellKey:
     """Return what partners share; the group only where cells differ by nothing else: elsewhere it is but a name."""
     fields = {"behaviour": cell.label, **{name: getattr(cell, name) for name in FIELDS[1:]}}
     left_out = (without,) if groups else (without, "group")

@@ -83,34 +83,35 @@ def write_table(table: Table, path: Path, form: str) -> None:
         raise MissingExtra(f"writing {form} needs {error.name}", hint=EXTRA) from error
 
 
+def about_trial(stored: StoredTrial) -> dict[str, Value]:
+    """Return which trial it is and how it was run."""
+    record, how, cell = stored.record, stored.provenance, stored.record.trial.cell
+    return {
+        "trial": record.id,
+        "experiment": record.experiment,
+        "group": cell.group,
+        "behaviour": cell.behaviour,
+        "parameters": msgspec.json.encode(dict(cell.parameters)).decode(),
+        "team": cell.team,
+        "needs": msgspec.json.encode(dict(cell.needs)).decode(),
+        "roles": msgspec.json.encode(dict(cell.roles)).decode(),
+        "scenario": cell.scenario,
+        "robots": cell.robots,
+        "engine": cell.engine,
+        "limits": cell.limits,
+        "network": cell.network,
+        "noise_m": cell.noise_m,
+        "noise_rad": cell.noise_rad,
+        "seed": record.trial.seed,
+        "end_reason": record.end_reason,
+        "failure": record.failure,
+        "wall_s": how.wall_s,
+    }
+
+
 def _about(trials: list[StoredTrial]) -> dict[str, list[Value]]:
     """Return the columns that say which trial it is and how it was run."""
-    rows: list[dict[str, Value]] = []
-    for stored in trials:
-        record, how, cell = stored.record, stored.provenance, stored.record.trial.cell
-        rows.append(
-            {
-                "trial": record.id,
-                "experiment": record.experiment,
-                "group": cell.group,
-                "behaviour": cell.behaviour,
-                "parameters": msgspec.json.encode(dict(cell.parameters)).decode(),
-                "team": cell.team,
-                "needs": msgspec.json.encode(dict(cell.needs)).decode(),
-                "roles": msgspec.json.encode(dict(cell.roles)).decode(),
-                "scenario": cell.scenario,
-                "robots": cell.robots,
-                "engine": cell.engine,
-                "limits": cell.limits,
-                "network": cell.network,
-                "noise_m": cell.noise_m,
-                "noise_rad": cell.noise_rad,
-                "seed": record.trial.seed,
-                "end_reason": record.end_reason,
-                "failure": record.failure,
-                "wall_s": how.wall_s,
-            }
-        )
+    rows = [about_trial(stored) for stored in trials]
     names = rows[0] if rows else ("trial",)
     return {name: [row[name] for row in rows] for name in names}
 

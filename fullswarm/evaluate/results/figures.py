@@ -1,7 +1,8 @@
 """Draws the report's figures as SVG text: the same bytes for the same data, fit to stand inside an HTML page.
 
-Box plots with all points (the paper's Figures 4 and 5), means over size, trajectories of chosen trials, and how often
-each place was covered. A new figure is one function that returns a `Plot`, and its line in ``report.py``.
+The effect of the main comparison, box plots with all points (the paper's Figures 4 and 5), means over size,
+trajectories of chosen trials, and how often each place was covered. A new figure is one function that returns a `Plot`,
+and its line in ``report.py``.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.evaluate.pictures.scene import corners
 from fullswarm.evaluate.results.folder import StoredTrial
+from fullswarm.evaluate.results.headline import Effect, Headline, counted
 from fullswarm.evaluate.results.quantities import COLLISIONS, SHOWN, Quantity
 from fullswarm.evaluate.results.sample import Condition, Sample, shown
 from fullswarm.evaluate.results.statistics import describe
@@ -109,14 +111,24 @@ def to_svg(figure: Figure, name: str, description: str) -> str:
     return _tidied(file.getvalue(), name, description)
 
 
-def inline(svg: str) -> str:
-    """Return an SVG document for the inside of an HTML page, in the colours of the page's theme."""
+def inline(svg: str, tips: Mapping[str, str] | None = None) -> str:
+    """Return an SVG document for the inside of an HTML page, in the colours of the page's theme.
+
+    Points that lead to an id in `tips` say its text when the pointer is on them.
+    """
     body = svg[svg.index("<svg") :]
     body = re.sub(r' (xmlns(:xlink)?|version)="[^"]*"', "", body, count=3)
     body = body.replace("xlink:href", "href").replace(f"fill: {PAPER}", "fill: none")
     for colour, variable in THEME.items():
         body = body.replace(colour, variable)
+    for name, text in (tips or {}).items():
+        body = body.replace(f'<a href="#{name}">', f'<a href="#{name}">\n<title>{_escaped(text)}</title>')
     return body
+
+
+def unlinked(svg: str) -> str:
+    """Return an SVG document for a file of its own: what its points lead to is on the report's page."""
+    return re.sub(r"</?a\b[^>]*>\n?", "", svg)
 
 
 def _tidied(svg: str, name: str, description: str) -> str:
@@ -127,13 +139,18 @@ def _tidied(svg: str, name: str, description: str) -> str:
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg))
     svg = re.sub(r' id="([^"]*)"', lambda found: found[0] if found[1] in used else "", svg)
     svg = re.sub(r' transform="rotate\(-0 [^"]*"', "", svg)
+    svg = svg.replace(' target="_blank"', "")  # of links within the page
     svg = svg.replace("fill-opacity: 0;", "fill: none;")  # what simple viewers understand too
     svg = svg.replace("font-family: 'DejaVu Sans'", "font-family: 'DejaVu Sans', Verdana, sans-serif")
     svg = re.sub(r' (?:d|x|y|width|height)="[^"]*"', lambda found: _rounded(found[0]), svg)
     svg = re.sub(r"\n\s*", "\n", svg).replace(" \n", "\n")
-    title = description.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    title = _escaped(description)
     head, _, rest = svg.partition(">")
     return f'{head} role="img" aria-labelledby="{name}-title">\n<title id="{name}-title">{title}</title>{rest}\n'
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
 def _rounded(text: str) -> str:
@@ -154,6 +171,44 @@ class Plot:
     svg: str
 
 
+MOST_EFFECTS = 40
+"""Rows of the figure of the main comparison: more cells are in the table only."""
+
+
+def effect_plot(found: Headline, name: str) -> Plot:
+    """Return the difference over all cells and in each of them, with intervals, and the single pairs as points."""
+    shown_cells = found.cells if 1 < len(found.cells) <= MOST_EFFECTS else ()
+    rows = [found.whole, *shown_cells]
+    with style(name):
+        figure, (axis,) = panels(1, 1, PAGE_IN, 0.9 + 0.3 * len(rows))
+        for place, effect in enumerate(rows):
+            _effect(axis, effect, -place, COLOURS[1] if place == 0 else INK)
+        axis.axvline(0.0, color=SOLID, linewidth=1.0, zorder=1)
+        axis.set_yticks([-place for place in range(len(rows))], [each.name for each in rows])
+        axis.get_yticklabels()[0].set_fontweight("bold")
+        axis.set_ylim(-len(rows) + 0.4, 0.6)
+        axis.tick_params(axis="y", length=0)
+        unit = f" [{found.quantity.unit}]" if found.quantity.unit else ""
+        axis.set_xlabel(f"{found.quantity.title}{unit}: {found.b} minus {found.a}")
+        axis.grid(axis="x")
+        points = "; each point below is the difference of one seed" if found.paired else ""
+        beyond = "" if shown_cells or len(found.cells) == 1 else f" {len(found.cells)} cells are too many to draw."
+        gone = f" {counted(found.left_out, 'cell')} with other seeds left out." if found.left_out else ""
+        how = "Student's t of the seeds' means" if found.paired else "Welch's t of the two groups"
+        caption = f"Difference with its 95 % confidence interval ({how}){points}.{beyond}{gone}"
+        return Plot(name, caption, to_svg(figure, name, f"Main comparison: {found.sentence}"))
+
+
+def _effect(axis: Axes, effect: Effect, height: float, colour: str) -> None:
+    count = len(effect.differences)
+    if count:
+        below = height - 0.27 + 0.2 * _spread(count)
+        axis.plot(effect.differences, below, "o", color=colour, markersize=3.2, alpha=0.55, markeredgewidth=0.0)
+    if math.isfinite(effect.low):
+        axis.plot((effect.low, effect.high), (height, height), color=colour, linewidth=2.0, solid_capstyle="butt")
+    axis.plot(effect.difference, height, "D", color=colour, markersize=5.0, zorder=4)
+
+
 def collisions_plot(condition: Condition, name: str) -> Plot | None:
     """Return box plots of collisions over the number of robots, a panel per scenario; None: no trial counts."""
     if not _is_known(condition, COLLISIONS):
@@ -162,24 +217,24 @@ def collisions_plot(condition: Condition, name: str) -> Plot | None:
     columns = min(COLUMNS, len(scenarios))
     rows = math.ceil(len(scenarios) / columns)
     with style(name):
-        figure, axes = panels(rows, columns, PAGE_IN / max(columns, 1.4), 2.9)
+        # One scale in all panels: they are compared.
+        figure, axes = panels(rows, columns, PAGE_IN / max(columns, 1.4), 2.9, sharey="all")
         handles: dict[str, Artist] = {}
         for axis, scenario in zip(axes, scenarios, strict=False):
             handles |= _boxes(axis, condition, scenario)
+        _shared_scale(axes[: len(scenarios)])
         for axis in axes[len(scenarios) :]:
             axis.remove()
         legend_below(figure, list(handles.values()), [shown(each) for each in handles])
         caption = (
             "Collisions per trial over the number of robots. Box: quartiles and median; whiskers: the farthest trial "
-            f"within 1.5 box heights; each point is one trial; white diamond: mean. {condition.name}."
+            f"within 1.5 box heights; each point is one trial and leads to it; white diamond: mean. {condition.name}."
         )
         return Plot(name, caption, to_svg(figure, name, f"Collisions per trial, {condition.name}"))
 
 
 def _boxes(axis: Axes, condition: Condition, scenario: str) -> dict[str, Artist]:
     """Draw one scenario; return a handle for the legend per behaviour."""
-    from matplotlib.ticker import MaxNLocator
-
     sizes, behaviours = condition.sizes(scenario), condition.behaviours
     slot = 0.8 / len(behaviours)
     handles: dict[str, Artist] = {}
@@ -193,9 +248,8 @@ def _boxes(axis: Axes, condition: Condition, scenario: str) -> dict[str, Artist]
             centre = place + slot * (row - 0.5 * (len(behaviours) - 1))
             _box(axis, values, centre, 0.62 * slot, colour)
             spread = centre + 0.42 * slot * _spread(len(values))
-            (points,) = axis.plot(
-                spread, values, marker, color=colour, markersize=3.0, alpha=0.65, markeredgewidth=0.0, zorder=3
-            )
+            points = axis.scatter(spread, values, 14.0, colour, marker=marker, alpha=0.65, linewidths=0.0, zorder=3)
+            points.set_urls([link_to(each) for each in sample.counted] if sample else [])
             axis.plot(centre, np.mean(values), "D", color="white", markeredgecolor=INK, markersize=3.4, zorder=4)
             handles.setdefault(behaviour, points)
     axis.set_xticks(range(len(sizes)), [str(each) for each in sizes])
@@ -204,10 +258,28 @@ def _boxes(axis: Axes, condition: Condition, scenario: str) -> dict[str, Artist]
     axis.set_xlabel("Number of robots")
     axis.set_ylabel(COLLISIONS.label)
     axis.grid(axis="y")
-    top = max(axis.get_ylim()[1], 1.0)
-    axis.set_ylim(-0.03 * top, top)
-    axis.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, steps=[1, 2, 5, 10]))
     return handles
+
+
+def _shared_scale(axes: list[Axes]) -> None:
+    """Let the panels' common axis begin just below zero, with whole numbers: they count."""
+    from matplotlib.ticker import MaxNLocator
+
+    top = max(axes[0].get_ylim()[1], 1.0)
+    axes[0].set_ylim(-0.03 * top, top)
+    for axis in axes:
+        axis.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, steps=[1, 2, 5, 10]))
+        axis.tick_params(labelleft=True)  # of each panel: with four in two rows the left one is far away
+
+
+def link_to(stored: StoredTrial) -> str:
+    """Return where on the report's page a trial stands."""
+    return f"#{anchor(stored)}"
+
+
+def anchor(stored: StoredTrial) -> str:
+    """Return the id of a trial on the report's page."""
+    return f"trial-{re.sub(r'[^A-Za-z0-9_.=-]', '-', stored.path.name)}"
 
 
 def _box(axis: Axes, values: list[float], centre: float, width: float, colour: str) -> None:

@@ -14,16 +14,22 @@ from urllib.parse import quote
 
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.evaluate.experiment.plan import differ_by_group
+from fullswarm.evaluate.results.cards import card_of, clock_text, tooltip
 from fullswarm.evaluate.results.export import wide, write_table
 from fullswarm.evaluate.results.figures import (
     Plot,
+    anchor,
     collisions_plot,
     coverage_plot,
+    effect_plot,
     inline,
+    link_to,
     means_plot,
     trajectories_plot,
+    unlinked,
 )
 from fullswarm.evaluate.results.folder import Asked, Folder, StoredTrial, read_folder
+from fullswarm.evaluate.results.headline import headline
 from fullswarm.evaluate.results.index import INDEX_FILE, rebuild
 from fullswarm.evaluate.results.quantities import (
     ARRIVED,
@@ -41,7 +47,7 @@ from fullswarm.evaluate.results.quantities import (
     Quantity,
 )
 from fullswarm.evaluate.results.sample import Condition, Sample, bare, conditions, is_filtered
-from fullswarm.evaluate.results.statistics import describe, paired, wilson
+from fullswarm.evaluate.results.statistics import Paired, describe, holm, paired, wilson
 from fullswarm.evaluate.trial_folder import RESULT_FILE, TRIAL_FILE, TRIALS, whole_file
 from fullswarm.units import unit_of
 
@@ -101,9 +107,11 @@ def write_plots(out: Path, folder: Path) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"cannot make the folder: {error.strerror or error}", where=str(folder)) from error
-    plots = [plot for each in sections for plot in (each.collisions, each.means, *each.arenas) if plot]
-    texts = {folder / f"{plot.name}.svg": plot.svg for plot in plots}
-    texts[folder / TABLE_FILE] = "\n".join(_markdown(each) for each in sections)
+    found = headline(read.trials)
+    plots = [effect_plot(found, "effect")] if found else []
+    plots += [plot for each in sections for plot in (each.collisions, each.means, *each.arenas) if plot]
+    texts = {folder / f"{plot.name}.svg": unlinked(plot.svg) for plot in plots}
+    texts[folder / TABLE_FILE] = "\n".join([*([f"{found.sentence}\n"] if found else []), *map(_markdown, sections)])
     for path, text in texts.items():
         with whole_file(path) as part:
             part.write_text(text, "utf-8")
@@ -125,17 +133,23 @@ def render(folder: Folder) -> str:
         raise MissingExtra("the report needs Jinja2", hint="pip install 'fullswarm[experiments]'") from error
     source = resources.files(__package__).joinpath(TEMPLATE).read_text("utf-8")
     page = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    page.filters["picture"] = lambda plot: Markup(inline(plot.svg))  # noqa: S704  (our own SVG; its texts are escaped)
+    tips = {anchor(each): tooltip(each) for each in folder.trials}
+    page.filters["picture"] = lambda plot: Markup(inline(plot.svg, tips))  # noqa: S704  (our own SVG; texts are escaped)
+    found = headline(folder.trials)
     sections = _sections(folder.trials)
     names = sorted({each.record.experiment for each in folder.trials})
     return page.from_string(source).render(
         title=", ".join(names) or "no readable trial",
+        headline=found,
+        effect=effect_plot(found, "effect") if found else None,
+        compare=f"fullswarm results compare {shlex.quote(folder.path.name or '.')} A B --by behaviour",
         figures=_figures(folder),
         facts=_facts(folder.trials, folder.asked),
         commands=_commands(folder, names),
         sections=sections,
         trouble=trouble_grid(folder),
         trials=trials_grid(folder.trials),
+        cards=[card_of(each, folder.path) for each in folder.trials],
         arenas_left_out=sum(len(each.arenas) for each in sections) >= MOST_ARENAS,
         csv=CSV_FILE,
         index=INDEX_FILE,
@@ -209,12 +223,12 @@ def _facts(trials: list[StoredTrial], asked: Asked) -> list[tuple[str, str]]:
         ("Engines and limits", _list(f"{cell.engine}, {cell.limits}" for cell in cells)),
         ("Networks", _list(cell.network for cell in cells)),
         ("How trials ended", _counted(each.record.end_reason for each in trials)),
-        ("fullswarm", _counted(" ".join(filter(None, (how.fullswarm, how.git))) for how in hows)),
+        ("fullswarm", _counted(" ".join(filter(None, (how.fullswarm, how.git[:12]))) for how in hows)),
         ("Python", _counted(how.python for how in hows)),
         ("Packages", ", ".join(sorted(packages))),
         ("Host", _counted(" · ".join(filter(None, (how.host, how.machine))) for how in hows)),
         ("Runner", _counted(how.runner for how in hows)),
-        ("Started", " to ".join(dict.fromkeys((started[0], started[-1]))) if started else ""),
+        ("Started", " to ".join(dict.fromkeys(map(clock_text, (started[0], started[-1])))) if started else ""),
     ]
     return [(name, text) for name, text in facts if text]
 
@@ -357,27 +371,30 @@ def _cell_row(sample: Sample) -> list[Entry]:
 def filter_grid(condition: Condition) -> Grid | None:
     """Return each behaviour with and without the safety filter, paired by seed; None when there is no such pair."""
     headers = ["Scenario", "Behaviour", "Robots", "Pairs", "Without filter", "With filter", "Difference"]
-    headers += ["Fewer / equal / more", "Rank-biserial", "Cohen's dz", "p (signed-rank)", "p (sign)"]
-    rows = []
+    headers += ["Fewer / equal / more", "Rank-biserial", "Cohen's dz", "p (sign)", "p (signed-rank)", "p (Holm)"]
+    found: list[tuple[Sample, Paired]] = []
     for sample in condition.samples:
         cell = sample.cell
         if not is_filtered(cell.label):
             continue
         other = condition.sample(cell.scenario, bare(cell.label), cell.robots)
-        if other is not None and (row := _filter_row(other, sample)):
-            rows.append(row)
+        if other is not None and (result := _filter_pairs(other, sample)):
+            found.append((sample, result))
+    corrected = holm([result.wilcoxon_p for _, result in found])
+    rows = [_filter_row(sample, result, p) for (sample, result), p in zip(found, corrected, strict=True)]
     return Grid(headers, rows, words=2) if rows else None
 
 
-def _filter_row(without: Sample, behind: Sample) -> list[Entry]:
+def _filter_pairs(without: Sample, behind: Sample) -> Paired | None:
     first, second = (
         dict(zip((each.record.trial.seed for each in sample.counted), sample.of(COLLISIONS), strict=True))
         for sample in (without, behind)
     )
     seeds = [seed for seed in first if seed in second]
-    if not seeds:
-        return []
-    result = paired([first[seed] for seed in seeds], [second[seed] for seed in seeds])
+    return paired([first[seed] for seed in seeds], [second[seed] for seed in seeds]) if seeds else None
+
+
+def _filter_row(behind: Sample, result: Paired, corrected_p: float) -> list[Entry]:
     cell = behind.cell
     tone = "good" if result.mean_b <= result.mean_a else "bad"
     return [
@@ -391,8 +408,9 @@ def _filter_row(without: Sample, behind: Sample) -> list[Entry]:
         Entry(f"{result.less} / {result.equal} / {result.more}"),
         Entry(f"{result.rank_biserial:+.2f}"),
         Entry(NONE if result.dz is None else f"{result.dz:+.2f}"),
-        Entry(p_text(result.wilcoxon_p)),
         Entry(p_text(result.sign_p)),
+        Entry(p_text(result.wilcoxon_p)),
+        Entry(p_text(corrected_p)),
     ]
 
 
@@ -442,7 +460,7 @@ def _trial_row(stored: StoredTrial) -> list[Entry]:
     cell, outcome = record.trial.cell, record.outcome
     return [
         Entry(cell.scenario),
-        Entry(cell.label),
+        Entry(cell.label, link_to(stored)),
         Entry(f"{cell.engine}, {cell.limits}"),
         Entry(record.end_reason or ("failed" if outcome is None else NONE), tone="bad" if outcome is None else ""),
         Entry("result", f"{folder}{RESULT_FILE}"),

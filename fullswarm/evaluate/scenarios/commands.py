@@ -9,7 +9,7 @@ from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.scenarios import Scenario, boxes_for, goals_for, load_scenario, scenario_names, spawn
 
 RADIUS_M = 0.17
-"""Of the robots that are shown and exported: a Create's."""
+"""Of the robots that are shown: a Create's."""
 
 EXPORTS = ("sdf", "pgm")
 
@@ -86,13 +86,13 @@ def import_world(file: Path, form: str | None, out: Path | None, as_json: bool) 
     return 0
 
 
-def export(name: str, form: str, robots: int, seed: int, out: Path, cell_m: float, driven: bool) -> int:
+def export(name: str, form: str, robots: int, seed: int, out: Path, cell_m: float, model: str, driven: bool) -> int:
     """Write a scenario for Gazebo (sdf) or as a map for ROS (pgm and yaml).
 
     Raises
     ------
     ConfigError
-        No such scenario or format, boxes or robots do not fit, or `out` cannot be written.
+        No such scenario, format or model, boxes or robots do not fit, or `out` cannot be written.
     """
     if form not in EXPORTS:
         raise ConfigError(f"there is no format '{form}'", where="--format", hint=did_you_mean(form, EXPORTS))
@@ -105,7 +105,7 @@ def export(name: str, form: str, robots: int, seed: int, out: Path, cell_m: floa
         return 0
     from fullswarm.evaluate.scenarios.export_sdf import scenario_to_sdf
 
-    _write(out, scenario_to_sdf(scenario, seed, robots, radius_m=RADIUS_M, driven=driven))
+    _write(out, scenario_to_sdf(scenario, seed, robots, model=model, driven=driven))
     output.progress(f"wrote {out}; see it: gz sim {out}")
     return 0
 

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from types import MappingProxyType
 
+from fullswarm.drivers.create_oi.protocol import CREATE2, GENERATIONS, TOP_MM_S, Generation
+from fullswarm.drivers.create_oi.settings import ACCEL_M_S2
+from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.scenarios.importers.sdf import EXPORTED_GOAL, EXPORTED_WALL
 from fullswarm.evaluate.scenarios.model import Box, Scenario
 from fullswarm.evaluate.scenarios.placement import boxes_for, spawn
@@ -12,12 +17,17 @@ BOX_HEIGHT_M = 0.5
 WALL_M = 0.2
 """Thickness of a wall; its inner face lies on the scenario's bounds."""
 
-ROBOT_HEIGHT_M = 0.1
+START_RADIUS_M = 0.17
+"""Of the robots of a trial, whose starts are exported whatever the exported body's size."""
+
+MODELS: Mapping[str, Generation] = MappingProxyType(GENERATIONS)
+"""The robots that can be exported; radius and distance of the wheels are the driver's record of them."""
+
+ROBOT_HEIGHT_M = 0.092
 ROBOT_MASS_KG = 3.6
-RADIUS_M = 0.17
 WHEEL_RADIUS_M = 0.036
-WHEEL_BASE_M = 0.235
-"""Of an iRobot Create 2 (Open Interface specification)."""
+WHEEL_MASS_KG = 0.1
+"""What the driver has no need to know: an iRobot Create 2, as its maker states and as it is weighed."""
 
 SUN = """<light name="sun" type="directional">
     <cast_shadows>true</cast_shadows><pose>0 0 10 0 0 0</pose>
@@ -28,22 +38,24 @@ _GREY, _BLUE, _GREEN = "0.5 0.5 0.5 1", "0.1 0.3 0.8 1", "0.1 0.7 0.2 0.3"
 
 
 def scenario_to_sdf(
-    scenario: Scenario, seed: int, robots: int, *, radius_m: float = RADIUS_M, driven: bool = False
+    scenario: Scenario, seed: int, robots: int, *, model: str = CREATE2.name, driven: bool = False
 ) -> str:
     """Return the world of a scenario's trial: boxes and robots stand where `seed` puts them.
 
     Parameters
     ----------
-    radius_m
-        Of the robots' bodies.
+    model
+        Which robot: one of `MODELS`.
     driven
         Give each robot two wheels, a castor and Gazebo's DiffDrive, which listens on ``/model/robot_1/cmd_vel``.
 
     Raises
     ------
     ConfigError
-        Boxes or robots do not fit.
+        Boxes or robots do not fit, or there is no such model.
     """
+    if model not in MODELS:
+        raise ConfigError(f"there is no model '{model}'", where="--model", hint=did_you_mean(model, MODELS))
     root = ET.Element("sdf", version="1.9")
     world = ET.SubElement(root, "world", name=_name(scenario.name))
     _add(world, SUN)
@@ -54,8 +66,8 @@ def scenario_to_sdf(
         for side, wall in _walls(scenario).items():
             _box(world, f"{EXPORTED_WALL}{side}", wall)
     _goal(world, scenario)
-    for number, (x, y, heading) in enumerate(spawn(scenario, robots, seed, radius_m).tolist(), 1):
-        _robot(world, f"robot_{number}", (x, y, heading), radius_m, driven)
+    for number, (x, y, heading) in enumerate(spawn(scenario, robots, seed, START_RADIUS_M).tolist(), 1):
+        _robot(world, f"robot_{number}", (x, y, heading), MODELS[model], driven)
     ET.indent(root)
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
@@ -102,14 +114,16 @@ def _goal(world: ET.Element, scenario: Scenario) -> None:
     _add(world, _model(EXPORTED_GOAL, (*scenario.goal.centre_m, 0.005, 0.0), shape))
 
 
-def _robot(world: ET.Element, name: str, pose: tuple[float, float, float], radius_m: float, driven: bool) -> None:
+def _robot(world: ET.Element, name: str, pose: tuple[float, float, float], record: Generation, driven: bool) -> None:
     x, y, heading = pose
+    radius_m = record.radius_m
     # With wheels the body must not drag over the floor.
     clear_m = 0.02 if driven else 0.0
+    body_kg = ROBOT_MASS_KG - (2 * WHEEL_MASS_KG if driven else 0.0)
     size = {"radius": _numbers(radius_m), "length": _numbers(ROBOT_HEIGHT_M - clear_m)}
     parts = _shape("cylinder", size, _BLUE, height_m=(ROBOT_HEIGHT_M + clear_m) / 2)
-    parts += _inertia(ROBOT_MASS_KG, radius_m, ROBOT_HEIGHT_M, ROBOT_HEIGHT_M / 2)
-    drive, half_base_m = "", min(WHEEL_BASE_M / 2, 0.8 * radius_m)
+    parts += _inertia(body_kg, radius_m, ROBOT_HEIGHT_M, ROBOT_HEIGHT_M / 2)
+    drive, half_base_m = "", record.wheel_base_m / 2
     if driven:
         parts += "".join(_castor(place, sign * 0.8 * radius_m) for place, sign in (("front", 1.0), ("back", -1.0)))
         drive = _wheel("left", half_base_m) + _wheel("right", -half_base_m) + _diff_drive(2 * half_base_m)
@@ -128,7 +142,7 @@ def _wheel(side: str, y_m: float) -> str:
     shape = _shape("cylinder", {"radius": _numbers(WHEEL_RADIUS_M), "length": "0.02"}, "0.1 0.1 0.1 1")
     return f"""<link name="{side}_wheel">
         <pose>0 {_numbers(y_m)} {WHEEL_RADIUS_M} -1.5707963267948966 0 0</pose>
-        {shape}{_inertia(0.1, WHEEL_RADIUS_M, 0.02, 0.0)}
+        {shape}{_inertia(WHEEL_MASS_KG, WHEEL_RADIUS_M, 0.02, 0.0)}
     </link>
     <joint name="{side}_wheel_joint" type="revolute">
         <parent>link</parent><child>{side}_wheel</child>
@@ -137,10 +151,13 @@ def _wheel(side: str, y_m: float) -> str:
 
 
 def _diff_drive(base_m: float) -> str:
+    top, ramp = TOP_MM_S / 1000.0, ACCEL_M_S2
     return f"""<plugin filename="gz-sim-diff-drive-system" name="gz::sim::systems::DiffDrive">
         <left_joint>left_wheel_joint</left_joint><right_joint>right_wheel_joint</right_joint>
         <wheel_separation>{_numbers(base_m)}</wheel_separation><wheel_radius>{_numbers(WHEEL_RADIUS_M)}</wheel_radius>
-        <max_linear_velocity>0.5</max_linear_velocity>
+        <min_linear_velocity>{-top}</min_linear_velocity><max_linear_velocity>{top}</max_linear_velocity>
+        <min_linear_acceleration>{-ramp}</min_linear_acceleration>
+        <max_linear_acceleration>{ramp}</max_linear_acceleration>
     </plugin>"""
 
 

@@ -4,8 +4,10 @@ Each importer is a module with ``read(path) -> Imported`` and its lines in `FORM
 and YAML are read by defusedxml and PyYAML's safe loader, of the extra [experiments].
 
 ``sdf.py``     Gazebo's SDF worlds; Gazebo classic's ``.world`` files are SDF too
+``sdf_models.py``  the files of models that an SDF world includes
 ``argos.py``   ARGoS experiments (``.argos``)
 ``stage.py``   Stage worlds, with what they include and their bitmaps
+``player.py``  Player configurations (``.cfg``) with the Stage world that they load
 ``menge.py``   Menge crowd scenes (XML)
 ``irsim.py``   IR-SIM worlds (YAML)
 ``ros_map.py`` Maps of ROS's map_server (YAML and a picture)
@@ -21,7 +23,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.scenarios.importers import argos, irsim, menge, ros_map, sdf, stage
+from fullswarm.evaluate.scenarios.importers import argos, irsim, menge, player, ros_map, sdf, stage
 from fullswarm.evaluate.scenarios.importers.draft import Imported
 from fullswarm.evaluate.scenarios.importers.files import read_text
 from fullswarm.maps.ros_map import is_ros_map
@@ -33,6 +35,7 @@ FORMATS: Mapping[str, Callable[[Path], Imported]] = MappingProxyType(
         "sdf": sdf.read,
         "argos": argos.read,
         "stage": stage.read,
+        "player": player.read,
         "menge": menge.read,
         "irsim": irsim.read,
         "map": ros_map.read,
@@ -47,7 +50,15 @@ _ROOTS = {
     "Experiment": "menge",
     "Project": "menge",
 }
-_ENDINGS = {".sdf": "sdf", ".argos": "argos", ".world": "stage", ".inc": "stage", ".yaml": "irsim", ".yml": "irsim"}
+_ENDINGS = {
+    ".sdf": "sdf",
+    ".argos": "argos",
+    ".world": "stage",
+    ".inc": "stage",
+    ".cfg": "player",
+    ".yaml": "irsim",
+    ".yml": "irsim",
+}
 _FIRST_ELEMENT = re.compile(r"<([A-Za-z][\w-]*)")
 
 

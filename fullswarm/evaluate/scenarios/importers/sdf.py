@@ -1,7 +1,8 @@
 """Gazebo's SDF worlds (sdformat.org/spec; Gazebo classic's ``.world`` files are SDF too).
 
 Collision shapes of models are obstacles, except what robots drive over or below. Models that can move and have the
-name of a robot are starts. Poses are 4 x 4 transforms, composed along the frames that they are relative to.
+name of a robot are starts, included ones too, whose file is not needed. Other included models are read from the folders
+that Gazebo searches. Poses are 4 x 4 transforms, composed along the frames that they are relative to.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.evaluate.scenarios.importers.draft import Draft, Imported, Planar
 from fullswarm.evaluate.scenarios.importers.files import INSTALL, ROBOT_LIKE, Node, numbers, read_xml
+from fullswarm.evaluate.scenarios.importers.sdf_models import Models
 from fullswarm.evaluate.scenarios.model import Rectangle
 
 ROBOT_HEIGHT_M = 0.5
@@ -43,6 +45,7 @@ class _Solid:
 @dataclass(slots=True)
 class _World:
     draft: Draft
+    models: Models
     solids: list[_Solid] = field(default_factory=list)
     ground_m: float = 0.0
     walls: dict[str, _Solid] = field(default_factory=dict)
@@ -62,7 +65,7 @@ def read(path: Path) -> Imported:
     node = root if root.tag == "world" else root.child("world")
     if root.tag not in ("sdf", "gazebo", "world") or node is None:
         raise ConfigError("there is no <world> in it", where=root.where, hint="a model alone makes no scenario")
-    world = _World(Draft(str(path)))
+    world = _World(Draft(str(path)), Models.beside(path))
     _read_world(node, world)
     for solid in world.solids:
         _add(solid, world)
@@ -81,22 +84,47 @@ def _read_world(node: Node, world: _World) -> None:
             world.draft.note(f"<{child.tag}> {child.attributes.get('name', '')}".rstrip() + ": not read")
 
 
-def _read_include(node: Node, scope: Scope, world: _World) -> None:
-    """An include is another file: only its pose is known here."""
+def _read_include(node: Node, scope: Scope, world: _World, outer_name: str = "", outer_static: bool = False) -> None:
+    """Read an included model, or only its pose if it is a robot."""
     uri, name = (child.text.strip() if (child := node.child(tag)) else "" for tag in ("uri", "name"))
-    at = scope.locate(node)
     if "ground_plane" in uri or uri.endswith("/sun") or "sun" in name.lower():
         return
-    if ROBOT_LIKE.search(f"{name} {uri}"):
+    static = outer_static or _is_true(node.child("static"))
+    # Of the URI the model's own name: Fuel's also has that of an owner, such as openrobotics.
+    if not static and ROBOT_LIKE.search(f"{name} {uri.rstrip('/').rpartition('/')[2]}"):
+        at = scope.locate(node)
         world.draft.starts.append(Planar(float(at[0, 3]), float(at[1, 3]), yaw_of(at)))
-    else:
-        world.draft.note(f"<include> {uri or name} at {at[0, 3]:.2f}, {at[1, 3]:.2f}: another file, not read")
+        return
+    found = world.models.find(uri, node.where)
+    if isinstance(found, str):
+        at = scope.locate(node)
+        world.draft.note(f"<include> {uri or name} at {at[0, 3]:.2f}, {at[1, 3]:.2f}: not read, {found}")
+        return
+    # The include's pose takes the place of the model's own.
+    at = scope.locate(node if node.child("pose") else found)
+    placement = node.child("placement_frame")
+    if placement is not None:
+        at = at @ np.linalg.inv(Scope.of(found, np.eye(4)).frame(placement.text.strip(), placement.where))
+    own = name or found.attributes.get("name", "model")
+    with world.models.inside(uri, node.where):
+        _read_body(found, at, f"{outer_name}{own}", static or _is_static(found), world)
+
+
+def _is_static(model: Node) -> bool:
+    return _is_true(model.child("static")) or model.attributes.get("static") in ("true", "1")
 
 
 def _read_model(node: Node, scope: Scope, world: _World, outer_name: str = "", outer_static: bool = False) -> None:
     at = scope.locate(node)
+    placement = node.attributes.get("placement_frame")
+    if placement:
+        at = at @ np.linalg.inv(Scope.of(node, np.eye(4)).frame(placement, node.where))
     name = f"{outer_name}{node.attributes.get('name', 'model')}"
-    static = outer_static or _is_true(node.child("static")) or node.attributes.get("static") in ("true", "1")
+    _read_body(node, at, name, outer_static or _is_static(node), world)
+
+
+def _read_body(node: Node, at: Transform, name: str, static: bool, world: _World) -> None:
+    """Read what a model at a place consists of."""
     if name == EXPORTED_GOAL:
         _read_goal(node, at, world)
         return
@@ -114,7 +142,7 @@ def _read_model(node: Node, scope: Scope, world: _World, outer_name: str = "", o
         if child.tag == "model":
             _read_model(child, inner, world, f"{name}::", static)
         elif child.tag == "include":
-            _read_include(child, inner, world)
+            _read_include(child, inner, world, f"{name}::", static)
 
 
 def _collect(solid: _Solid, static: bool, world: _World) -> None:
@@ -254,7 +282,30 @@ class Scope:
     def of(cls, owner: Node, origin: Transform) -> Scope:
         """Return the scope of a world or model: its models, links and frames can be named in `relative_to`."""
         named = [child for child in owner.children if child.tag in ("model", "link", "frame", "joint", "include")]
-        return cls(origin, {child.attributes.get("name", ""): child for child in named})
+        return cls(origin, {_frame_name(child): child for child in named})
+
+    def frame(self, name: str, where: str, seen: tuple[str, ...] = ()) -> Transform:
+        """Return where the frame `name` is in the world, shape (4, 4); ``model::link`` is a frame of a model in it.
+
+        Raises
+        ------
+        ConfigError
+            It is not there, is relative to itself, or lies in an included file.
+        """
+        first, _, rest = name.partition("::")
+        if first in seen:
+            raise ConfigError(f"the frame '{first}' is relative to itself", where=where)
+        if first not in self.frames:
+            raise ConfigError(f"there is no frame '{first}' here", where=where)
+        owner = self.frames[first]
+        at = self.locate(owner, (*seen, first))
+        if not rest:
+            return at
+        if owner.tag != "model":
+            raise ConfigError(
+                f"'{name}' is a frame of an included file", where=where, hint="put the model in its place"
+            )
+        return Scope.of(owner, at).frame(rest, where)
 
     def locate(self, node: Node, seen: tuple[str, ...] = ()) -> Transform:
         """Return an element's pose in the world, shape (4, 4).
@@ -268,14 +319,22 @@ class Scope:
         frame = "" if found is None else found.attributes.get("relative_to") or found.attributes.get("frame", "")
         if not frame and node.tag == "frame":
             frame = node.attributes.get("attached_to", "")
+        if not frame and node.tag == "joint" and (child := node.child("child")) is not None:
+            frame = child.text.strip()
         own = np.eye(4) if found is None else matrix(found)
         if frame in ("", "world", "__model__", "__root__"):
             return np.asarray(self.origin @ own)
-        if frame in seen:
-            raise ConfigError(f"the frame '{frame}' is relative to itself", where=node.where)
-        if frame not in self.frames:
-            raise ConfigError(f"there is no frame '{frame}' here", where=node.where)
-        return np.asarray(self.locate(self.frames[frame], (*seen, frame)) @ own)
+        return np.asarray(self.frame(frame, node.where, seen) @ own)
+
+
+def _frame_name(node: Node) -> str:
+    """Return how an element is called in `relative_to`: an include by its name, else by its model's."""
+    if node.tag != "include":
+        return node.attributes.get("name", "")
+    name, uri = node.child("name"), node.child("uri")
+    if name is not None:
+        return name.text.strip()
+    return uri.text.strip().rstrip("/").rpartition("/")[2] if uri is not None else ""
 
 
 def matrix(pose: Node) -> Transform:

@@ -48,18 +48,69 @@ def read(path: Path) -> Imported:
         Not readable or not in Stage's syntax, named with its line.
     """
     world = parse(path)
-    if not world.root.parts:
-        raise ConfigError("there is no model in it", where=str(path))
     draft = Draft(str(path))
+    collect(world, draft)
+    return draft.finish(text_of(world.root, "name") or path.stem, f"From the Stage world {path.name}")
+
+
+def collect(world: WorldFile, draft: Draft, robots: frozenset[str] | None = None) -> dict[str, Planar]:
+    """Put all that stands in a world into a draft; return the poses of its robots by their names, as far as they have.
+
+    Parameters
+    ----------
+    robots
+        Names of the models that are robots: others that could drive are obstacles. None: all that can drive.
+
+    Raises
+    ------
+    ConfigError
+        The world is empty, or something in it is no model, named with its line.
+    """
+    if not world.root.parts:
+        raise ConfigError("there is no model in it", where=world.root.where)
     for file in world.missing:
         draft.note(f'include "{file}": there is no such file; what it defines is not known')
     units = _Units(
         _UNITS.get(str(world.root.properties.get("unit_length", "m")), 1.0),
         1.0 if world.root.properties.get("unit_angle") == "radians" else math.pi / 180.0,
     )
+    reading = _Reading(world, units, draft, robots)
     for part in world.root.parts:
-        _entity(part, Planar(), 0.0, world, units, draft)
-    return draft.finish(_text(world.root, "name") or path.stem, f"From the Stage world {path.name}")
+        _entity(part, Planar(), 0.0, reading)
+    return reading.found
+
+
+def names_in(world: WorldFile) -> tuple[str, ...]:
+    """Return the names of the models of a world."""
+
+    def names(entity: Entity) -> Iterator[str]:
+        for part in entity.parts:
+            if name := text_of(part, "name"):
+                yield name
+            yield from names(part)
+
+    return tuple(dict.fromkeys(names(world.root)))
+
+
+@dataclass(slots=True)
+class _Reading:
+    """A world that is being read, and the robots found so far."""
+
+    world: WorldFile
+    units: _Units
+    draft: Draft
+    robots: frozenset[str] | None
+    found: dict[str, Planar] = field(default_factory=dict)
+
+    def is_robot(self, base: str, kinds: tuple[str, ...], whole: Entity, name: str) -> bool:
+        """Tell whether a model is a robot: it drives, or no type is known and it is called like one."""
+        own = text_of(whole, "name")
+        if self.robots is not None and own:
+            return own in self.robots
+        if base == "position":
+            return self.robots is None
+        known = (*_BODIES, "map", "floorplan")
+        return self.robots is None and base not in known and bool(ROBOT_LIKE.search(f"{name} {kinds}"))
 
 
 def _flat(entity: Entity, world: WorldFile) -> tuple[tuple[str, ...], Entity]:
@@ -82,20 +133,23 @@ def _flat(entity: Entity, world: WorldFile) -> tuple[tuple[str, ...], Entity]:
     return tuple(kinds), whole
 
 
-def _entity(entity: Entity, outer: Planar, height: float, world: WorldFile, units: _Units, draft: Draft) -> None:
-    kinds, whole = _flat(entity, world)
+def _entity(entity: Entity, outer: Planar, height: float, reading: _Reading) -> None:
+    units, draft = reading.units, reading.draft
+    kinds, whole = _flat(entity, reading.world)
     base = kinds[-1]
     if base in _NO_BODIES:
         return
-    name = f"{entity.kind} {_text(whole, 'name')}".strip()
+    name = f"{entity.kind} {text_of(whole, 'name')}".strip()
     pose, z = _pose(whole, "pose", units)
     at, bottom = outer.then(pose), height + z
-    if base == "position" or (
-        base not in _BODIES and base not in ("map", "floorplan") and ROBOT_LIKE.search(f"{name} {kinds}")
-    ):
+    if reading.is_robot(base, kinds, whole, name):
         draft.starts.append(at)
+        if own := text_of(whole, "name"):
+            reading.found.setdefault(own, at)
         return
-    if base not in (*_BODIES, "map", "floorplan"):
+    if base == "position":
+        draft.note(f"{name} ({entity.where}) has no driver: a fixed obstacle")
+    elif base not in (*_BODIES, "map", "floorplan"):
         draft.note(f"{name} ({entity.where}): its type is not known: left out")
         return
     origin, _ = _pose(whole, "origin", units)
@@ -104,18 +158,18 @@ def _entity(entity: Entity, outer: Planar, height: float, world: WorldFile, unit
         raise ConfigError(f"{name}: a size must be above zero", where=entity.where)
     _model(name, kinds, whole, at.then(origin), size, bottom, draft)
     for part in whole.parts:
-        _entity(part, at, bottom, world, units, draft)
+        _entity(part, at, bottom, reading)
 
 
 def _model(name: str, kinds: tuple[str, ...], whole: Entity, at: Planar, size: Xy, bottom: float, draft: Draft) -> None:
-    floor = "bitmap" in whole.properties and _text(whole, "boundary") == "1"
+    floor = "bitmap" in whole.properties and text_of(whole, "boundary") == "1"
     is_floor = floor or any(each in ("floorplan", "map", "floor") for each in kinds)
     if is_floor and draft.bounds is None:
         _floor(whole, at, size, draft)
-    if _text(whole, "obstacle_return") in ("0", "false"):
+    if text_of(whole, "obstacle_return") in ("0", "false"):
         draft.note(f"{name} has obstacle_return 0: robots pass through it; left out")
         return
-    if _text(whole, "boundary") == "1" and not draft.walls:
+    if text_of(whole, "boundary") == "1" and not draft.walls:
         corners = [at.point(i * size[0] / 2, j * size[1] / 2) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         draft.lines(corners, True, f"{name}, its boundary")
     if bottom >= ROBOT_HEIGHT_M:
@@ -131,13 +185,13 @@ def _floor(whole: Entity, at: Planar, size: Xy, draft: Draft) -> None:
     half_x, half_y = (size[0] * cos + size[1] * sin) / 2, (size[0] * sin + size[1] * cos) / 2
     draft.bounds = at.x - half_x, at.y - half_y, at.x + half_x, at.y + half_y
     square = min(cos, sin) < 1e-6
-    draft.walls = _text(whole, "boundary") == "1" and square
+    draft.walls = text_of(whole, "boundary") == "1" and square
     if not square:
         draft.note("the floor plan is turned: the arena is the rectangle around it")
 
 
 def _bitmap(name: str, whole: Entity, at: Planar, size: Xy, draft: Draft) -> None:
-    picture = _text(whole, "bitmap")
+    picture = text_of(whole, "bitmap")
     path = Path(whole.where.rpartition(":")[0]).parent / picture
     try:
         rectangles, (left, low, columns, rows) = trace(path)
@@ -195,7 +249,7 @@ def _old_blocks(whole: Entity) -> list[list[Xy]]:
 def _point(properties: dict[str, Value], key: str, where: str) -> Xy:
     if key not in properties:
         raise ConfigError(f"a block without {key}", where=where)
-    x, y = numbers(_joined(properties[key]), 2, key, where)
+    x, y = numbers(joined(properties[key]), 2, key, where)
     return x, y
 
 
@@ -204,7 +258,7 @@ def _pose(entity: Entity, key: str, units: _Units) -> tuple[Planar, float]:
     found = entity.properties.get(key)
     if found is None:
         return Planar(), 0.0
-    words = _joined(found).split()
+    words = joined(found).split()
     values = numbers(" ".join(words), max(2, min(len(words), 4)), key, entity.where)
     x, y, *rest = values
     z = rest[0] * units.metre if len(rest) == 2 else 0.0
@@ -216,20 +270,22 @@ def _lengths(entity: Entity, key: str, default: Xy, units: _Units) -> Xy:
     found = entity.properties.get(key)
     if found is None:
         return default
-    x, y = numbers(_joined(found), 2, key, entity.where)
+    x, y = numbers(joined(found), 2, key, entity.where)
     return x * units.metre, y * units.metre
 
 
 def _number(value: Value, what: str, where: str) -> float:
-    return numbers(_joined(value), 1, what, where)[0]
+    return numbers(joined(value), 1, what, where)[0]
 
 
-def _joined(value: Value) -> str:
+def joined(value: Value) -> str:
+    """Return a property's value as one text; the members of a tuple are divided by spaces."""
     return value if isinstance(value, str) else " ".join(value)
 
 
-def _text(entity: Entity, key: str) -> str:
-    return _joined(entity.properties.get(key, ""))
+def text_of(entity: Entity, key: str) -> str:
+    """Return a property as text; empty: the entity does not have it."""
+    return joined(entity.properties.get(key, ""))
 
 
 MAX_PIXELS = 4_000_000
@@ -340,8 +396,8 @@ class WorldFile:
     entities: int = 0
 
 
-def parse(path: Path) -> WorldFile:
-    """Return what a world file and its includes define.
+def parse(path: Path, what: str = "Stage world") -> WorldFile:
+    """Return what a world file and its includes define; errors call it `what`.
 
     Raises
     ------
@@ -349,14 +405,14 @@ def parse(path: Path) -> WorldFile:
         Not readable, or not in this syntax, named with its line.
     """
     world = WorldFile(Entity("world", str(path)))
-    _parse_into(world, path, 0)
+    _parse_into(world, path, 0, what)
     return world
 
 
-def _parse_into(world: WorldFile, path: Path, depth: int) -> None:
+def _parse_into(world: WorldFile, path: Path, depth: int, what: str) -> None:
     if depth > MAX_DEPTH:
         raise ConfigError(f"more than {MAX_DEPTH} files include one another", where=str(path))
-    tokens = list(_tokens(read_text(path, "Stage world"), path))
+    tokens = list(_tokens(read_text(path, what), path))
     position = 0
     while position < len(tokens):
         token = tokens[position]
@@ -364,7 +420,7 @@ def _parse_into(world: WorldFile, path: Path, depth: int) -> None:
             name = _expect(tokens, position + 1, "string", token)
             included = path.parent / name.text
             if included.is_file():
-                _parse_into(world, included, depth + 1)
+                _parse_into(world, included, depth + 1, what)
             else:
                 world.missing.append(name.text)
             position += 2
