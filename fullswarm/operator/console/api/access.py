@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
+from urllib.parse import parse_qsl
 
 import msgspec
 from starlette.datastructures import Headers
@@ -34,6 +35,7 @@ STOP_RATE_HZ, STOP_BURST = 10.0, 30.0
 MOST_AT_ONCE = 16
 MOST_STREAMS = 4
 BODY_S = 3.0
+JSON, FORM, FIELD = "application/json", "application/x-www-form-urlencoded", "json"
 LONGEST_TOKEN = 512
 MOST_TOKENS = 1024
 WRONG_TOKEN = "the token is unknown, expired or revoked"  # noqa: S105  (a text)
@@ -170,8 +172,8 @@ async def body_of(request: Request, kind: type[T]) -> T:
         It is too large (413), too slow (408), not JSON (400, 415), or not such a record (422).
     """
     media = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if media != "application/json":
-        raise ProblemError(415, f"the body is '{media[:64]}'", where="Content-Type", hint="send application/json")
+    if media not in (JSON, FORM):
+        raise ProblemError(415, f"the body is '{media[:64]}'", where="Content-Type", hint=f"send {JSON}")
     declared = request.headers.get("content-length", "0")
     if declared.isdecimal() and int(declared) > MAX_BYTES:
         raise _too_large()
@@ -186,7 +188,18 @@ async def body_of(request: Request, kind: type[T]) -> T:
         raise ProblemError(408, f"the body did not arrive within {BODY_S:g} s", where="body") from None
     except ClientDisconnect:
         raise ProblemError(400, "the body ended early", where="body") from None
-    return decoded(bytes(data), kind)
+    return decoded(bytes(data) if media == JSON else _of_form(bytes(data)), kind)
+
+
+def _of_form(data: bytes) -> bytes:
+    """Return the JSON in the one field of a form: GNU Octave can send nothing else."""
+    try:
+        ((name, value),) = parse_qsl(data, keep_blank_values=True, strict_parsing=True, max_num_fields=1)
+    except ValueError:
+        raise ProblemError(400, "not a form with one field", where="body", hint=f"send {JSON}, or json=...") from None
+    if name != FIELD.encode():
+        raise ProblemError(422, f"the field of a form is '{FIELD}'", where="body", hint=f"send {JSON}")
+    return value
 
 
 def decoded(data: bytes | str, kind: type[T] | Any) -> T:

@@ -10,6 +10,7 @@ import msgspec
 
 from fullswarm import __version__
 from fullswarm.operator.console.api import records
+from fullswarm.operator.console.api.access import FIELD, FORM, JSON
 from fullswarm.operator.console.api.problems import MEDIA_TYPE, TITLES, Problem
 from fullswarm.operator.console.api.routes import BASE, OPERATIONS, Operation
 
@@ -41,13 +42,13 @@ def document() -> dict[str, Any]:
     paths: dict[str, dict[str, Any]] = {}
     for operation in OPERATIONS:
         paths.setdefault(operation.path, {})[operation.method.lower()] = _described(operation)
-    paths[STREAM] = {"get": _stream()}
     return {
         "openapi": "3.1.0",
         "info": {"title": "fullswarm", "version": __version__, "description": " ".join(ABOUT.split())},
         "servers": [{"url": BASE}],
         "security": [{"token": []}],
         "paths": paths,
+        "x-stream": _stream(),  # a WebSocket is no operation of OpenAPI
         "components": {
             "schemas": schemas,
             "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
@@ -60,7 +61,7 @@ def _described(operation: Operation) -> dict[str, Any]:
         "operationId": operation.name,
         "summary": operation.summary,
         "responses": {
-            str(operation.status): {"description": "done", "content": {"application/json": _ref(operation.returns)}},
+            str(operation.status): {"description": "done", "content": {JSON: _ref(operation.returns)}},
             **{str(each): _problem(each) for each in _statuses(operation)},
         },
     }
@@ -73,7 +74,10 @@ def _described(operation: Operation) -> dict[str, Any]:
     if parameters:
         found["parameters"] = parameters
     if operation.body is not None:
-        found["requestBody"] = {"required": True, "content": {"application/json": _ref(operation.body)}}
+        text = {"type": "string", "contentMediaType": JSON, "contentSchema": _ref(operation.body)["schema"]}
+        form = {"type": "object", "properties": {FIELD: text}, "required": [FIELD], "additionalProperties": False}
+        content = {JSON: _ref(operation.body), FORM: {"schema": form}}
+        found["requestBody"] = {"required": True, "content": content}
     return found
 
 
@@ -109,14 +113,10 @@ def _stream() -> dict[str, Any]:
         for side, kinds in records.FRAMES.items()
     }
     return {
-        "operationId": "openStream",
+        "path": STREAM,
         "summary": "States at a rate, and twists, over a WebSocket.",
         "description": " ".join(STREAMED.split()),
-        "responses": {
-            "101": {"description": "switched to WebSocket"},
-            "426": _problem(426),
-        },
-        "x-frames": names,
+        "frames": names,
     }
 
 

@@ -87,7 +87,11 @@ class Api:
 
         async def endpoint(request: Request) -> Response:
             method = "GET" if request.method == "HEAD" else request.method
-            return await _answered(lambda: self._call(request, by_method[method]))
+            answer = await _answered(lambda: self._call(request, by_method[method]))
+            if request.method == "POST" and answer.status_code >= 400:
+                # Its body may not have been read: what is left of it would be received without an end.
+                answer.headers["Connection"] = "close"
+            return answer
 
         return endpoint
 

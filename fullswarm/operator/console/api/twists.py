@@ -14,13 +14,14 @@ from fullswarm.messages import RequestStatus
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console.api.records import FULL_M_S, FULL_RAD_S
 from fullswarm.operator.teleop import Teleop
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler, Timer
 
 BEHAVIOUR = "drive_bc"
 CHECK_S = 0.02
 RECENT_S = 1.0
-"""A robot that was stopped while it was driven, or so soon after, needs a zero twist before it is driven again: twists
-that are on the way must not start it."""
+"""A robot that was stopped while it was driven, or so soon after, needs a zero twist before it is driven again, or so
+long a pause: twists that are on the way must not start it."""
 MOST_BLOCKED = 1024
 MOST_DRIVEN, MOST_DRIVEN_EACH = 16, 8
 """Robots driven by twists, of all programs and of one: the core takes 500 requests a second of one console."""
@@ -33,6 +34,14 @@ class Stream:
     teleop: Teleop
     owner: object  # of the connection that sends the twists
     until_s: float = 0.0
+
+
+@dataclass(slots=True)
+class Block:
+    """Why a robot needs a zero twist first, and when a twist was refused last."""
+
+    why: str
+    refused_s: float
 
 
 class TwistStreams:
@@ -48,7 +57,7 @@ class TwistStreams:
         self._operator, self._scheduler, self._admit = operator, scheduler, admit
         self._streams: dict[str, Stream] = {}
         self._ended_s: dict[str, float] = {}
-        self._blocked: dict[str, str] = {}  # robot → why it needs a zero twist first
+        self._blocked: Recent[str, Block] = Recent(MOST_BLOCKED)  # robots that need a zero twist first
         self._timer: Timer | None = None
 
     def __len__(self) -> int:
@@ -69,11 +78,7 @@ class TwistStreams:
             The robot was stopped, or another connection drives it, or too many robots are driven.
         """
         now_s = self._scheduler.now_s()
-        if robot in self._blocked:
-            if linear_m_s or angular_rad_s:
-                hint = "once it may move again, send a zero twist, then drive on"
-                raise RequestRefused(self._blocked[robot], where=robot, hint=hint)
-            del self._blocked[robot]
+        self._check_block(robot, moves=bool(linear_m_s or angular_rad_s))
         stream = self._streams.get(robot)
         if stream is not None and stream.owner != owner:
             hint = "end it there, or wait until its twist has ended"
@@ -89,6 +94,19 @@ class TwistStreams:
         if self._timer is None:
             self._timer = self._scheduler.every(CHECK_S, self._check)
 
+    def _check_block(self, robot: str, *, moves: bool) -> None:
+        """Refuse a twist for a robot that was stopped while the program goes on sending; else end the block."""
+        block = self._blocked.get(robot)
+        if block is None:
+            return
+        now_s = self._scheduler.now_s()
+        paused = now_s - block.refused_s > RECENT_S
+        if moves and not paused:
+            block.refused_s = now_s
+            hint = f"once it may move again, send a zero twist, or pause for {RECENT_S:g} s, then drive on"
+            raise RequestRefused(block.why, where=robot, hint=hint)
+        del self._blocked[robot]
+
     def release(self, robots: Iterable[str] | None = None, owner: object = None) -> None:
         """Stop driving `robots` (None: all), those of one `owner` or of all."""
         for robot in tuple(self._streams) if robots is None else tuple(robots):
@@ -102,8 +120,7 @@ class TwistStreams:
         recent = {robot for robot, ended_s in self._ended_s.items() if now_s - ended_s <= RECENT_S}
         for robot in {*self._streams, *recent}:
             if not robots or robot in robots:
-                if len(self._blocked) < MOST_BLOCKED:
-                    self._blocked[robot] = why
+                self._blocked[robot] = Block(why, now_s)
                 if robot in self._streams:
                     self._end(robot)
 
