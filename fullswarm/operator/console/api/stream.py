@@ -24,6 +24,7 @@ from fullswarm.operator.console.tokens import Admitted
 
 HELLO_S = 3.0
 STALLED_S = 5.0
+CLOSE_S = 0.5
 CHECK_S = 0.5
 RATE_HZ, BURST = 60.0, 120.0
 BAD_TOKEN, NO_HELLO, TOO_LARGE, TOO_MANY, BUSY = 4401, 4408, 1009, 1008, 1013
@@ -196,8 +197,10 @@ class Stream:
 
     async def _close(self, code: int, reason: str) -> None:
         if self._open():
-            with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # closed by the client meanwhile
-                await self._websocket.close(code, reason)
+            # It may be closed by the client meanwhile, and one that takes nothing does not take the closing either.
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError, TimeoutError):
+                async with asyncio.timeout(CLOSE_S):
+                    await self._websocket.close(code, reason)
 
 
 def _refused(error: ProblemError, sequence: int | None) -> records.Refused:

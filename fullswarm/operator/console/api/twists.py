@@ -22,7 +22,7 @@ CHECK_S = 0.02
 RECENT_S = 1.0
 """A robot that was stopped while it was driven, or so soon after, needs a zero twist before it is driven again, or so
 long a pause: twists that are on the way must not start it."""
-MOST_BLOCKED = 1024
+MOST_REMEMBERED = 1024
 MOST_DRIVEN, MOST_DRIVEN_EACH = 16, 8
 """Robots driven by twists, of all programs and of one: the core takes 500 requests a second of one console."""
 
@@ -56,8 +56,9 @@ class TwistStreams:
     def __init__(self, operator: Operator, scheduler: Scheduler, admit: Callable[[], bool]) -> None:
         self._operator, self._scheduler, self._admit = operator, scheduler, admit
         self._streams: dict[str, Stream] = {}
+        self._teleops: Recent[str, Teleop] = Recent(MOST_REMEMBERED)
         self._ended_s: dict[str, float] = {}
-        self._blocked: Recent[str, Block] = Recent(MOST_BLOCKED)  # robots that need a zero twist first
+        self._blocked: Recent[str, Block] = Recent(MOST_REMEMBERED)  # robots that need a zero twist first
         self._timer: Timer | None = None
 
     def __len__(self) -> int:
@@ -87,7 +88,9 @@ class TwistStreams:
             if not self._admit():
                 hint = f"{MOST_DRIVEN_EACH} of one token, {MOST_DRIVEN} of all; request behaviours for more"
                 raise RequestRefused("too many robots are driven by twists", where=robot, hint=hint)
-            stream = self._streams[robot] = Stream(self._new_teleop(robot), owner)
+            # The same one as before: a new one would not end the zeros that the old one still sends.
+            self._teleops[robot] = self._teleops.get(robot) or self._new_teleop(robot)
+            stream = self._streams[robot] = Stream(self._teleops[robot], owner)
         stream.until_s = now_s + ttl_s
         sticks = {"linear": linear_m_s / FULL_M_S, "angular": angular_rad_s / FULL_RAD_S}
         stream.teleop.hold(BEHAVIOUR, sticks, {"speed_m_s": FULL_M_S, "turn_rad_s": FULL_RAD_S})
@@ -127,11 +130,11 @@ class TwistStreams:
     def _new_teleop(self, robot: str) -> Teleop:
         def receive(status: RequestStatus) -> None:
             stream = self._streams.get(robot)
-            if status.phase == "refused" and stream is not None and stream.teleop is teleop:
+            # While it is driven: afterwards it is the answer to the final zeros.
+            if status.phase == "refused" and stream is not None:
                 self.block((robot,), status.reason or "refused without a reason")
 
-        teleop = Teleop(self._operator, self._scheduler, (robot,), on_status=receive)
-        return teleop
+        return Teleop(self._operator, self._scheduler, (robot,), on_status=receive)
 
     def _end(self, robot: str) -> None:
         now_s = self._scheduler.now_s()
