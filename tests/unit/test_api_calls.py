@@ -312,6 +312,7 @@ def test_what_is_malformed_too_large_or_of_another_kind_is_refused(tmp_path: Pat
         problem(await lab.call("GET", "/log?limit=0"), 422)
         problem(await lab.call("GET", "/log?limit=1&limit=2"), 422)
         problem(await lab.call("GET", "/stream"), 426)
+        problem(await lab.call("GET", "/requests/a%0Ab"), 400)
 
     run(tmp_path, story)
 

@@ -129,12 +129,16 @@ class Guard:
                 headers.setdefault("Cache-Control", "no-store")
             await send(message)
 
-        if not reason:
+        strange = program and not scope["path"].isprintable()  # the table of routes would not recognise it
+        if not reason and not strange:
             await self._app(scope, receive, send_with_headers)
             return
         if scope["type"] == "websocket":
             await receive()  # the opening, which must be received before it may be refused
-        refused = ProblemError(403, reason).response() if program else PlainTextResponse(reason, 403)
+        if strange and not reason:
+            refused = ProblemError(400, "the address has characters that cannot be printed").response()
+        else:
+            refused = ProblemError(403, reason).response() if program else PlainTextResponse(reason, 403)
         await refused(scope, receive, send_with_headers)
 
     def _refuses(self, headers: Headers, *, needs_origin: bool) -> str:
