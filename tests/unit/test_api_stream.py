@@ -85,6 +85,7 @@ def test_a_browsers_page_of_another_origin_opens_no_stream(tmp_path: Path) -> No
     run(tmp_path, story)
 
 
+@pytest.mark.alone
 def test_twists_drive_and_end_with_their_time_or_with_the_connection(tmp_path: Path) -> None:
     async def story(lab: ApiLab) -> None:
         await lab.hold()
@@ -98,10 +99,10 @@ def test_twists_drive_and_end_with_their_time_or_with_the_connection(tmp_path: P
             await say(line, "release")
             assert await lab.until_stopped() < 0.3
             sent_s = lab.runtime.now_s()
-            await twists(line, 2, ttl_s=0.4)
+            await twists(line, 2, ttl_s=0.8)
             await lab.until_driven()
             await lab.until_stopped()
-            assert 0.35 < lab.runtime.now_s() - sent_s < 1.0
+            assert 0.75 < lab.runtime.now_s() - sent_s < 1.3
             await twists(line, 3, ttl_s=1.0)
             await lab.until_driven()
             line.transport.abort()  # as when the client is killed: no closing frame
@@ -131,6 +132,7 @@ def test_each_robot_of_a_frame_gets_its_own_twist_and_one_that_is_not_held_is_sa
     run(tmp_path, story)
 
 
+@pytest.mark.alone
 def test_an_estop_of_another_operator_ends_driving_until_it_is_released(tmp_path: Path) -> None:
     async def story(lab: ApiLab) -> None:
         await lab.hold()
@@ -146,7 +148,7 @@ def test_an_estop_of_another_operator_ends_driving_until_it_is_released(tmp_path
             await frame(line, "refused")
             assert not lab.driven()
             await twists(line, 4, r0=[0.0, 0.0])
-            await twists(line, 5)
+            await twists(line, 5, ttl_s=1.0)
             await lab.until_driven()
 
     run(tmp_path, story)
@@ -200,6 +202,7 @@ def test_a_client_that_takes_nothing_is_closed_and_delays_no_other(
     run(tmp_path, story)
 
 
+@pytest.mark.alone
 def test_streams_of_a_token_are_limited_and_end_with_it(tmp_path: Path) -> None:
     async def story(lab: ApiLab) -> None:
         usage = lab.api.access.usage(lab.api.access.admit(lab.tokens["driver"]))
