@@ -147,6 +147,7 @@ def test_the_example_in_javascript_drives_a_robot(served: Served) -> None:
     assert (wrong.returncode, "no robot 'r9' is there" in wrong.stderr) == (1, True)
 
 
+@pytest.mark.slow  # the compiler takes several seconds of a whole core
 def test_the_example_in_cpp_drives_a_robot(served: Served, tmp_path: Path) -> None:
     compiler = shutil.which("g++")
     probe = "#include <curl/curl.h>\n#include <nlohmann/json.hpp>\n"
@@ -159,7 +160,7 @@ def test_the_example_in_cpp_drives_a_robot(served: Served, tmp_path: Path) -> No
         pytest.skip("needs g++, libcurl4-openssl-dev and nlohmann-json3-dev")
     program = tmp_path / "drive"
     command = [compiler, "-std=c++17", "-Wall", "-Wextra", "-Werror", "drive.cpp", "-o", str(program), "-lcurl"]
-    subprocess.run(command, cwd=EXAMPLES, check=True, timeout=120)
+    subprocess.run(command, cwd=EXAMPLES, check=True, timeout=300)
     check_drove(served.program(str(program), "r1", "5.0", "3"), served)
 
 

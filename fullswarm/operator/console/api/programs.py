@@ -77,6 +77,7 @@ class Program:
     def hold(self, robots: tuple[str, ...], seconds: float, *, take: bool, stop_at_end: bool) -> None:
         """Ask for the leases of robots, or renew them."""
         end_s = self._context.scheduler.now_s() + seconds
+        self.twists.unblock(robot for robot in robots if robot not in self._ends)
         for robot in robots:
             self.refused.pop(robot, None)
             self._ends[robot] = end_s, stop_at_end

@@ -127,6 +127,12 @@ class TwistStreams:
                 if robot in self._streams:
                     self._end(robot)
 
+    def unblock(self, robots: Iterable[str]) -> None:
+        """Let robots be driven again whatever was before: their lease was just asked for, which is deliberate."""
+        for robot in robots:
+            self._blocked.pop(robot, None)
+            self._ended_s.pop(robot, None)
+
     def _new_teleop(self, robot: str) -> Teleop:
         def receive(status: RequestStatus) -> None:
             stream = self._streams.get(robot)
