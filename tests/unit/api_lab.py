@@ -96,6 +96,10 @@ class ApiLab:
             await asyncio.sleep(0.002)
         return self.runtime.now_s() - began_s
 
+    def ready(self) -> bool:
+        robots = {row.robot for row in self.gateway.view.snapshot().robots if row.health}
+        return self.server.started and self.gateway.context.world.known and robots == {"r0", "r1"}
+
     def driven(self, robot: str = "r0") -> bool:
         return robot in self.whole.driven()
 
@@ -154,8 +158,7 @@ def run(folder: Path, story: Callable[[ApiLab], Awaitable[None]], **options: Any
         lab.pump.wake()
         try:
             async with asyncio.timeout(60.0):
-                ready = lambda: {row.robot for row in lab.gateway.view.snapshot().robots if row.health} == {"r0", "r1"}  # noqa: E731
-                await lab.until(lambda: lab.server.started and lab.gateway.context.world.known and ready(), "the swarm")
+                await lab.until(lab.ready, "the swarm")
                 async with lab.client:
                     await story(lab)
         finally:

@@ -92,7 +92,7 @@ def test_only_a_token_of_a_program_that_still_counts_is_accepted(tmp_path: Path)
     async def story(lab: ApiLab) -> None:
         short = lab.file.add("short", "operator", WALL_S, days=1.0)
         for token in ("wrong", PAGE_TOKEN, lab.tokens["operator"][:-1], "x" * 10_000, "é"):
-            found = await lab.client.get("/swarm", headers={"Authorization": f"Bearer {token}".encode()})
+            found = await lab.client.get("/swarm", headers={b"Authorization": f"Bearer {token}".encode()})
             assert problem(found, 401)["where"] == "Authorization"
             assert found.headers["www-authenticate"].startswith("Bearer")
         basic = await lab.client.get("/swarm", headers={"Authorization": f"Basic {lab.tokens['operator']}"})
