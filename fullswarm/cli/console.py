@@ -17,6 +17,7 @@ from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
+    from fullswarm.operator.console.tokens import Role
     from fullswarm.runtime import Scheduler
 
 
@@ -29,6 +30,10 @@ TokensFile = Annotated[
     Path | None,
     typer.Option("--tokens", metavar="FILE", help="The file with the tokens (default: one in your config folder)."),
 ]
+OfPrograms = Annotated[
+    bool, typer.Option("--api", help="Tokens of programs, for `console --api`, instead of people's.")
+]
+API_DAYS = 90.0
 
 
 @console_app.callback(invoke_without_command=True)
@@ -58,6 +63,12 @@ def console(
     owner: Annotated[
         str, typer.Option("--operator", metavar="NAME", help="Whose the token is; else each page may state a name.")
     ] = "",
+    api: Annotated[
+        bool, typer.Option("--api", help="Also serve programs by REST and WebSocket: `console tokens add NAME --api`.")
+    ] = False,
+    api_tokens: Annotated[
+        Path | None, typer.Option("--api-tokens", metavar="FILE", help="The same with their tokens in this file.")
+    ] = None,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     insecure_network: Annotated[
         bool, typer.Option("--insecure-network", help="Listen beyond this machine: everyone on that network can drive.")
@@ -73,6 +84,8 @@ def console(
         return 0
     if (named or tokens) and (owner or token_file):
         raise ConfigError("--named and --tokens need neither --operator nor --token-file", where="console")
+    if (api or api_tokens) and study:
+        raise ConfigError("a study has no programs that act", where="--api", hint="leave --api out")
     from fullswarm.drivers.make import makes
     from fullswarm.launch.liveness import report_alive
     from fullswarm.launch.web_console import open_browser
@@ -88,18 +101,25 @@ def console(
         operator=operator_name(owner) if owner else "",
         insecure_network=insecure_network,
         study=study,
+        api=api_tokens or (_tokens_file(of_programs=True) if api else None),
         icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},
     )
     with contextlib.ExitStack() as stack:
 
         def on_start(address: str, scheduler: Scheduler, leave: Callable[[], None]) -> None:
             if as_json:
-                output.data_json({"url": address}, indent=None)
+                output.data_json(
+                    {"url": address} | ({"api": _api_address(address)} if options.api else {}), indent=None
+                )
             else:
                 output.data(address)
                 output.progress("open this address in a browser; Ctrl-C ends")
                 if options.tokens is not None:
                     output.progress("each operator opens the address that `console tokens add` has printed for them")
+                if options.api is not None:
+                    output.progress(
+                        f"programs: {_api_address(address)}, with tokens of `console tokens add NAME --api`"
+                    )
             sys.stdout.flush()
             if open_page:
                 page = RedirectPage(address)
@@ -120,8 +140,13 @@ def console(
 def add(
     name: Annotated[str, typer.Argument(metavar="NAME", help="The operator, as leases and requests name them.")],
     observer: Annotated[bool, typer.Option("--observer", help="Show all, send nothing, not even a stop.")] = False,
+    driver: Annotated[
+        bool, typer.Option("--driver", help="Neither clear an e-stop nor take robots over from their holders.")
+    ] = False,
+    of_programs: OfPrograms = False,
     days: Annotated[
-        float | None, typer.Option(metavar="N", min=0.001, max=36500, help="Let it end after so many days.")
+        float | None,
+        typer.Option(metavar="N", min=0.001, max=36500, help="Let it end after so many days (with --api: 90)."),
     ] = None,
     once: Annotated[
         bool, typer.Option("--once", help="Let it open one browser tab, which stays in while it is used.")
@@ -132,8 +157,18 @@ def add(
     from fullswarm.clock import wall_time_s
     from fullswarm.operator.console.tokens import TokenFile
 
-    file = TokenFile(tokens or _tokens_file())
-    token = file.add(name, "observer" if observer else "operator", wall_time_s(), days=days, once=once)
+    if observer and driver:
+        raise ConfigError("a token has one role", where="console tokens add", hint="--observer or --driver")
+    if of_programs and once:
+        raise ConfigError("a program's token works for each call", where="--once", hint="leave it out, or use --days")
+    file = TokenFile(tokens or _tokens_file(of_programs=of_programs))
+    role: Role = "observer" if observer else "driver" if driver else "operator"
+    days = API_DAYS if days is None and of_programs else days
+    token = file.add(name, role, wall_time_s(), days=days, once=once)
+    if of_programs:
+        output.data(token)
+        output.progress(f"{name} sends it as `Authorization: Bearer TOKEN`; it ends after {days:g} days")
+        return 0
     output.data(f"#token={token}")
     output.progress(f"{name} opens the console's address with this behind its last /; it is not shown again")
     return 0
@@ -141,8 +176,8 @@ def add(
 
 @tokens_app.command("list")
 @shell_command()
-def list_tokens(tokens: TokensFile = None, as_json: Json = False) -> int:
-    """List the operators that have a token."""
+def list_tokens(tokens: TokensFile = None, of_programs: OfPrograms = False, as_json: Json = False) -> int:
+    """List the operators that have a token; with --api the programs."""
     from datetime import datetime
 
     from rich.markup import escape
@@ -150,7 +185,7 @@ def list_tokens(tokens: TokensFile = None, as_json: Json = False) -> int:
     from fullswarm.clock import wall_time_s
     from fullswarm.operator.console.tokens import TokenFile
 
-    found = TokenFile(tokens or _tokens_file()).tokens()
+    found = TokenFile(tokens or _tokens_file(of_programs=of_programs)).tokens()
     if as_json:
         names = ("name", "role", "issued_s", "expires_s", "once", "used")
         output.data_json([{name: getattr(each, name) for name in names} for each in found])
@@ -171,19 +206,25 @@ def list_tokens(tokens: TokensFile = None, as_json: Json = False) -> int:
 @tokens_app.command()
 @shell_command()
 def revoke(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The operator.")], tokens: TokensFile = None
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The operator.")],
+    tokens: TokensFile = None,
+    of_programs: OfPrograms = False,
 ) -> int:
-    """Take an operator's token away; a running console closes their pages within a second."""
+    """Take an operator's token away; a running console closes their pages within a second, and refuses programs."""
     from fullswarm.operator.console.tokens import TokenFile
 
-    TokenFile(tokens or _tokens_file()).revoke(name)
+    TokenFile(tokens or _tokens_file(of_programs=of_programs)).revoke(name)
     return 0
 
 
-def _tokens_file() -> Path:
+def _tokens_file(*, of_programs: bool = False) -> Path:
     import platformdirs
 
-    return platformdirs.user_config_path("fullswarm") / "console-tokens.json"
+    return platformdirs.user_config_path("fullswarm") / ("api-tokens.json" if of_programs else "console-tokens.json")
+
+
+def _api_address(page: str) -> str:
+    return page.partition("#")[0] + "api/v1/"
 
 
 def leave_with_parent(scheduler: Scheduler, leave: Callable[[], None]) -> None:

@@ -55,7 +55,7 @@ PROCESSES_S = 3.0
 AGAIN_S = 30.0
 """How long a restart is shown."""
 
-_NO_STATE = (math.nan, math.nan, math.nan, math.nan, math.nan)
+_NO_STATE = (math.nan,) * 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +69,7 @@ class RobotRow:
     heading_rad: float
     speed_m_s: float
     health: RobotHealth | None  # None: only its states have been received
+    turn_rad_s: float = math.nan
     radius_m: float = math.nan
     host: str = ""  # that carries it; empty: no health report yet
     version: str = ""  # of the software there
@@ -196,7 +197,7 @@ class FleetView:
         self._expected = tuple(expected)
         self.states_received = 0
         self._health: dict[str, tuple[float, RobotHealth, HealthReport]] = {}
-        self._states: dict[str, tuple[float, tuple[float, float, float, float, float]]] = {}
+        self._states: dict[str, tuple[float, tuple[float, ...]]] = {}
         self._profiles: dict[str, RobotProfile] = {}
         self._memories: dict[str, tuple[float, dict[str, RobotMemory]]] = {}  # by host
         self._actuators: dict[str, tuple[float, dict[str, dict[str, str]]]] = {}  # by host
@@ -289,7 +290,9 @@ class FleetView:
         self._nodes.pop(node, None)
 
     def _row(self, robot: str, now_s: float) -> RobotRow:
-        state_s, (x_m, y_m, heading_rad, speed_m_s, radius_m) = self._states.get(robot, (-math.inf, _NO_STATE))
+        state_s, (x_m, y_m, heading_rad, speed_m_s, turn_rad_s, radius_m) = self._states.get(
+            robot, (-math.inf, _NO_STATE)
+        )
         health_s, health, report = self._health.get(robot, (-math.inf, None, None))
         return RobotRow(
             robot=robot,
@@ -299,6 +302,7 @@ class FleetView:
             heading_rad=heading_rad,
             speed_m_s=speed_m_s,
             health=health,
+            turn_rad_s=turn_rad_s,
             radius_m=radius_m,
             host="" if report is None else report.host,
             version="" if report is None else report.version,
@@ -341,11 +345,10 @@ class FleetView:
     def _on_states(self, states: RobotStates) -> None:
         now_s = self._scheduler.now_s()
         self.states_received += 1
-        kinematics = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.radius_m)
-        for robot, *state in zip(states.robots, *kinematics, strict=False):
-            x_m, y_m, heading_rad, speed_m_s, radius_m = state
+        kinematics = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s)
+        for robot, *state in zip(states.robots, *kinematics, states.radius_m, strict=False):
             if self._robots.admit(robot, now_s):
-                self._states[robot] = now_s, (x_m, y_m, heading_rad, speed_m_s, radius_m)
+                self._states[robot] = now_s, tuple(state)
 
     def _on_heartbeat(self, beat: Heartbeat) -> None:
         if not self._node_names.admit(beat.node, self._scheduler.now_s()):

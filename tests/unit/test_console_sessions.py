@@ -17,7 +17,7 @@ from fullswarm.operator.console.gateway import KEPT_S, MOST_SESSIONS
 from fullswarm.operator.console.stops import STOP_WATCH_S
 from fullswarm.operator.view import SILENT_S
 from fullswarm.reasons import Code, joined, reason
-from tests.unit.console_bench import KEYS, ConsoleBench, health
+from tests.unit.console_bench import KEYS, ConsoleBench, Page, health
 
 
 @pytest.fixture
@@ -346,3 +346,24 @@ def test_a_closed_console_releases_robots_and_sends_nothing_more(bench: ConsoleB
     bench.run(2.0)
     assert len(page.frames) == count
     assert bench.requests()[-1].parameters == {"linear": 0.0}
+
+
+def test_a_driver_does_all_but_clear_an_estop_and_take_robots_over(bench: ConsoleBench) -> None:
+    page = Page()
+    session = bench.gateway.join("session-1", "ben", page, named=True, role="driver")
+    bench.run(0.1)
+    assert not page.frames[0]["read_only"]
+    assert bench.say(session, page, "estop")["ok"]
+    assert bench.say(session, page, "stop")["ok"]
+    assert bench.say(session, page, "lease", robots=["r1"], hold=True)["ok"]
+    sent = len(bench.sent)
+    refused = {
+        "clear": bench.say(session, page, "clear"),
+        "lease": bench.say(session, page, "lease", robots=["r1"], hold=True, take=True),
+        "request": bench.say(session, page, "request", behaviour="move_to_goal_bc", take=True),
+        "mission": bench.say(session, page, "mission", op="resume", mission="m1", take=True),
+    }
+    assert {t: (each["ok"], "driver" in each["reason"]) for t, each in refused.items()} == dict.fromkeys(
+        refused, (False, True)
+    )
+    assert len(bench.sent) == sent

@@ -175,3 +175,30 @@ def test_commands_add_list_and_revoke(tmp_path: Path) -> None:
     assert wrong.exit_code == 2
     both = CliRunner().invoke(app, ["console", "--tokens", path, "--operator", "anna"])
     assert both.exit_code == 2
+
+
+def test_commands_for_programs_have_a_file_of_their_own_and_an_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+
+    def run(*words: str) -> tuple[int, str]:
+        result = CliRunner().invoke(app, ["console", "tokens", *words])
+        return result.exit_code, result.stdout
+
+    code, out = run("add", "arm1", "--api", "--driver")
+    assert (code, len(out.strip())) == (0, 32)
+    assert run("add", "anna")[0] == 0
+    file = tmp_path / "fullswarm" / "api-tokens.json"
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    (token,) = TokenFile(file).tokens()
+    assert (token.name, token.role) == ("arm1", "driver")
+    assert token.expires_s == pytest.approx(token.issued_s + 90 * 86400.0)
+    listed = run("list", "--api", "--json")[1]
+    assert ("arm1" in listed, "anna" in listed) == (True, False)
+    assert run("add", "arm2", "--api", "--once")[0] == 2
+    assert run("add", "arm2", "--driver", "--observer")[0] == 2
+    assert run("revoke", "arm1")[0] == 2  # it is no token of a page
+    assert run("revoke", "arm1", "--api")[0] == 0
+    study = CliRunner().invoke(app, ["console", "--api", "--study", str(tmp_path)])
+    assert study.exit_code == 2

@@ -12,7 +12,7 @@ from fullswarm.agent.node import AgentNode
 from fullswarm.agent.orders.estops import LatchFolder
 from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
-from fullswarm.clock import SimClock
+from fullswarm.clock import Clock, SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.core.centralised.node import CentralisedNode
 from fullswarm.core.node import CoreNode
@@ -92,10 +92,11 @@ class Whole:
     count: int = 3
     path: Path | None = None
     latches: Path | None = None  # of the agents, if they keep any
+    clock: Clock = field(default_factory=SimClock)
     statuses: dict[str, RequestStatus] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.runtime = Runtime(SimClock(), Mailbox())
+        self.runtime = Runtime(self.clock, Mailbox())
         self.bus = ShakyBus(self.runtime, self.seed)
         robots = [{"id": f"r{k}", "pose": (4.0 + 3.0 * k, 10.0, 0.0)} for k in range(self.count)]
         world = {"engine": "kinematic", "walls": False, "bounds_m": (-50.0, -50.0, 90.0, 90.0)}

@@ -21,9 +21,9 @@ The server knows no robots, and serves the runtime of the nodes on its own loop,
 ``frames.py``    the frames that a page may send, and their checks
 ``server.py``    the web application: files, WebSockets, frames that wait for a slow page
 ``tokens.py``    tokens: whose they are, what they allow, how long they count
-``tokens.py``    tokens: whose they are, what they allow, how long they count
 ``access.py``    access control: Host, Origin, token, limits of unverified connections
 ``serve.py``     the loop, start and end; opens the page in a browser
+``api/``         the interface for outside programs, on the same server
 
 The page itself is in ``page/``, JavaScript with JSDoc types and no build step. A new panel is a module there, a section
 of ``index.html`` and a line in ``main.js``:

@@ -180,7 +180,7 @@ def read_command(text: str | bytes) -> Command | Answer:
         case _:
             given = {}
     for name, value in given.items():
-        if not _fits(value):
+        if not fits(value):
             return Answer(ref=command.ref, ok=False, reason=f"{name} is too large a number or too long a text")
     return command
 
@@ -192,9 +192,10 @@ def _reference(text: str | bytes) -> int | None:
         return None
 
 
-def _fits(value: object) -> bool:
+def fits(value: object) -> bool:
+    """Return whether a value of a parameter is short enough, and exact in JavaScript."""
     if isinstance(value, list):
-        return all(map(_fits, value))
+        return all(map(fits, value))
     if isinstance(value, str):
         return len(value) <= 1024
     return not isinstance(value, int) or abs(value) <= LONGEST_INT

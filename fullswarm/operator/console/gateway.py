@@ -38,6 +38,7 @@ from fullswarm.operator.console.missions import MissionBoard
 from fullswarm.operator.console.sessions import ConsoleContext, Listener, OperatorSession
 from fullswarm.operator.console.stops import EStopTracker, StopTracker
 from fullswarm.operator.console.study import PLAN, StudyDesk, Swarm, TrialPlan, read_plan
+from fullswarm.operator.console.tokens import Role
 from fullswarm.operator.console.world import World
 from fullswarm.operator.missions import MissionClient
 from fullswarm.operator.view import FleetView
@@ -132,21 +133,34 @@ class Gateway:
         if self._desk is not None:
             self._timers.append(scheduler.every(DESK_S, self._tick_desk))
 
+    @property
+    def context(self) -> ConsoleContext:
+        """What all sessions share; programs share it too."""
+        return self._context
+
+    def log_entries(self) -> tuple[Entry, ...]:
+        """Return the lines of the log, the oldest first."""
+        return tuple(self._log_entries.entries)
+
+    def missions(self) -> tuple[MissionStatus, ...]:
+        """Return the newest status of each mission."""
+        return self._missions.statuses()
+
     # ---------------------------------------------------------------- pages
     def join(
-        self, key: str, name: str, listener: Listener, *, named: bool = False, observer: bool = False
+        self, key: str, name: str, listener: Listener, *, named: bool = False, role: Role = "operator"
     ) -> OperatorSession:
         """Add a page to its session, a new one or the one it left, and send it all there is.
 
         Parameters
         ----------
         named : the operator's name comes from the token; else the page states it, and it is not taken for the name
-        observer : the page shows everything and sends nothing
+        role : what the page may do
         """
         host = self._identity.host
         title = f"console {name}@{host} {key[:4]}" if name else f"console@{host} {key[:4]}"
         if named:
-            title, key = name, f"{name}/{'observer' if observer else 'operator'}/{key}"
+            title, key = name, f"{name}/{role}/{key}"
         session = self._sessions.get(key)
         if session is not None and session.name != title and not session.listeners:
             self._close_session(key)
@@ -156,7 +170,7 @@ class Gateway:
             self._opened += 1
             source = f"{self._identity.process}/{self._opened}"
             source += f":{name}" if named else ""  # stops have no operator: their source has to say whose they are
-            session = self._sessions[key] = OperatorSession(self._context, key, source, title, observer=observer)
+            session = self._sessions[key] = OperatorSession(self._context, key, source, title, role=role)
         for kind, make in self._initial_frames(session).items():
             with self._drawing(kind):
                 if (frame := make()) is not None:
@@ -235,7 +249,7 @@ class Gateway:
             "t": "hello",
             "swarm": self._keys.swarm,
             "version": self._identity.version,
-            "read_only": self._identity.read_only or session.observer,
+            "read_only": self._identity.read_only or session.role == "observer",
             "operator": session.name,
             "icons": dict(self._identity.icons),
         }

@@ -52,6 +52,10 @@ class MissionBoard:
         )  # fmt: skip
         return f"{words}: {status.reason}" if status.reason else words
 
+    def statuses(self) -> tuple[MissionStatus, ...]:
+        """Return the newest status of each mission."""
+        return tuple(each.status for each in self._missions.values())
+
     def expire(self, now_s: float) -> None:
         """Leave out missions that ended some time ago."""
         for key, each in list(self._missions.items()):

@@ -64,6 +64,7 @@ class Options:
     insecure_network: bool = False
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
     study: Path | None = None  # folder of a trial of a study
+    api: Path | None = None  # file with the tokens of programs; None: no interface for them
 
 
 def serve(target: Target, options: Options, on_start: OnStart) -> int:
@@ -88,6 +89,8 @@ def serve(target: Target, options: Options, on_start: OnStart) -> int:
     if file is not None and not file.tokens():
         hint = "make one: fullswarm console tokens add NAME"
         raise ConfigError("no operator has a token", where=str(options.tokens), hint=hint)
+    if options.api is not None:
+        TokenFile(options.api).tokens()  # raises what is wrong with the file
     doorkeeper = Doorkeeper(token, wall_time_s, name=options.operator, file=file)
     keys = Keys(target.swarm)
     with contextlib.closing(bind(host, port, options.listen, ANOTHER)) as listener:
@@ -177,6 +180,7 @@ async def _serve(
     on_start: OnStart,
 ) -> int:
     from fullswarm.operator.console.access import Names, lower, uvicorn_server
+    from fullswarm.operator.console.api.server import Api
     from fullswarm.operator.console.gateway import Gateway, Identity
     from fullswarm.operator.console.server import Pages, Web
 
@@ -203,7 +207,11 @@ async def _serve(
 
         runtime_loop = RuntimeLoop(runtime, loop, fail)
         web = Web(gateway, doorkeeper, runtime.now_s, runtime_loop.wake)
-        server = uvicorn_server(web.app(names, Pages()))
+        api = None
+        if options.api is not None:
+            tokens = Doorkeeper("", wall_time_s, file=TokenFile(options.api))
+            api = Api(gateway, tokens, runtime.now_s, runtime_loop.wake, process)
+        server = uvicorn_server(web.app(names, Pages(), *(() if api is None else (api.route(),))))
         ended_by = end_on_signals(loop, server)
         address = url(host, port, token, options.allow_hosts)
         loop.call_soon(on_start, address, runtime, lambda: setattr(server, "should_exit", True))
@@ -211,6 +219,8 @@ async def _serve(
         gc.collect()
         gc.freeze()  # what is built once need not be collected, least of all at the end, which would take longest
         await server.serve([listener])
+        if api is not None:
+            api.close()
         gateway.close()
         runtime_loop.close()
     finally:

@@ -14,7 +14,7 @@ from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
-from starlette.routing import Route, WebSocketRoute
+from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from fullswarm.operator.console import frames
@@ -53,12 +53,13 @@ class Web:
     stalled_s: float = STALLED_S
     clients: int = field(default=0, init=False)
 
-    def app(self, names: Names, pages: Pages) -> Starlette:
-        """Return the ASGI application."""
+    def app(self, names: Names, pages: Pages, *more: BaseRoute) -> Starlette:
+        """Return the ASGI application, with `more` of what others serve."""
         routes = [
             Route("/", pages.serve),
             Route("/page/{name:path}", pages.serve),
             WebSocketRoute("/ws", self.socket),
+            *more,
         ]
         return Starlette(routes=routes, middleware=[Middleware(Guard, names=names)])
 
@@ -96,7 +97,7 @@ class Web:
     async def _serve(self, websocket: WebSocket, hello: frames.Hello, admitted: Admitted) -> None:
         outbox = Outbox(self.now_s)
         name = admitted.name or hello.name
-        session = self.gateway.join(hello.session, name, outbox, named=bool(admitted.name), observer=admitted.observer)
+        session = self.gateway.join(hello.session, name, outbox, named=bool(admitted.name), role=admitted.role)
         self.wake()
         tasks = {
             asyncio.create_task(outbox.run(websocket.send_text)),

@@ -17,6 +17,7 @@ from fullswarm.operator.console import frames
 from fullswarm.operator.console.frames import Answer
 from fullswarm.operator.console.log import for_page
 from fullswarm.operator.console.study import StudyDesk
+from fullswarm.operator.console.tokens import Role
 from fullswarm.operator.console.world import World
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.leases import LeaseHolder
@@ -33,7 +34,22 @@ CLEAR_S = 5.0
 """A forgotten page must not release a robot that comes back tomorrow; an e-stop is repeated without end."""
 
 OBSERVER = "your token is that of an observer: it shows everything and sends nothing"
+NO_CLEAR = "your token is that of a driver: an operator who has looked at the robots clears their e-stop"
+NO_TAKE = "your token is that of a driver: it takes no robots over from their holders"
 READ_ONLY = "this console is read-only: it was started with --read-only"
+
+
+def refusal_of(role: Role, *, clears: bool = False, takes: bool = False) -> str:
+    """Return why an operator of a role may not send what `clears` an e-stop or `takes` robots over; empty: they may."""
+    if role == "observer":
+        return OBSERVER
+    if role == "driver" and (clears or takes):
+        return NO_CLEAR if clears else NO_TAKE
+    return ""
+
+
+def _takes(command: frames.Command) -> bool:
+    return isinstance(command, frames.Request | frames.Lease | frames.Mission) and command.take
 
 
 class Listener(Protocol):
@@ -65,12 +81,12 @@ class OperatorSession:
     ----------
     key, source, name
         The secret of the operator's pages; the unique source of its messages; the operator's name.
-    observer
-        It carries out nothing.
+    role
+        What it carries out: an observer nothing, a driver neither clears e-stops nor takes robots over.
     """
 
-    def __init__(self, context: ConsoleContext, key: str, source: str, name: str, *, observer: bool = False) -> None:
-        self.key, self.source, self.name, self.observer = key, source, name, observer
+    def __init__(self, context: ConsoleContext, key: str, source: str, name: str, *, role: Role = "operator") -> None:
+        self.key, self.source, self.name, self.role = key, source, name, role
         self.listeners: list[Listener] = []
         self.watchers: list[Listener] = []  # of them, those that look at cameras
         self._context = context
@@ -119,8 +135,8 @@ class OperatorSession:
             return self._watch_cameras(ref, command.on, listener)
         if self._context.read_only:
             return Answer(ref=ref, ok=False, reason=READ_ONLY)
-        if self.observer:
-            return Answer(ref=ref, ok=False, reason=OBSERVER)
+        if reason := refusal_of(self.role, clears=isinstance(command, frames.Clear), takes=_takes(command)):
+            return Answer(ref=ref, ok=False, reason=reason)
         desk = self._context.study
         if isinstance(command, frames.Study):
             reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"

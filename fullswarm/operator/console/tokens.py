@@ -24,8 +24,9 @@ from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.files import replace_file
 from fullswarm.portability import seen_by_others, user_id
 
-Role = Literal["operator", "observer"]
-"""An observer's page shows everything and sends nothing, not even a stop."""
+Role = Literal["operator", "driver", "observer"]
+"""An observer's page shows everything and sends nothing, not even a stop. A driver requests, drives and stops, but
+neither clears an e-stop nor takes robots over from their holders."""
 
 PASS_S = 12 * 3600.0
 RENEW_S = PASS_S / 2
@@ -151,15 +152,20 @@ class Admitted:
     ----------
     name
         The operator; empty: the page may state a name.
-    observer
-        The page shows everything and sends nothing.
+    role
+        What it may do.
     key
         Of passes for it: another one, or none, means that they have ended.
     """
 
     name: str
-    observer: bool
+    role: Role
     key: str
+
+    @property
+    def observer(self) -> bool:
+        """Whether the page shows everything and sends nothing."""
+        return self.role == "observer"
 
 
 class Doorkeeper:
@@ -180,7 +186,7 @@ class Doorkeeper:
     def __init__(
         self, token: str, wall_s: Callable[[], float], *, name: str = "", file: TokenFile | None = None
     ) -> None:
-        self._own = Admitted(name, observer=False, key=digest(token)) if token else None
+        self._own = Admitted(name, "operator", digest(token)) if token else None
         self._file, self._wall_s = file, wall_s
 
     def admit(self, given: str) -> Admitted | None:
@@ -238,7 +244,7 @@ class Doorkeeper:
 
 
 def _admitted(token: Token) -> Admitted:
-    return Admitted(token.name, token.role == "observer", token.sha256)
+    return Admitted(token.name, token.role, token.sha256)
 
 
 def _signature(admitted: Admitted, until_s: int) -> str:

@@ -110,6 +110,12 @@ class World:
             if key.startswith(ORDER) and isinstance(value, dict)
         }
 
+    def entries(self, pattern: str) -> dict[str, Stored]:
+        """Return the entries under a key, or under all that begin with it up to its ``*``, by key."""
+        if not pattern.endswith("*"):
+            return {key: value for key, value in self._values.items() if key == pattern}
+        return {key: value for key, value in sorted(self._values.items()) if key.startswith(pattern[:-1])}
+
     def _names(self, prefix: str) -> list[str]:
         return sorted(key.removeprefix(prefix) for key in self._values if key.startswith(prefix))
 
