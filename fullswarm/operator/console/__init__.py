@@ -14,13 +14,14 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``stops.py``     tracks e-stops and stops: which robots have confirmed
 ``missions.py``  tracks missions: the newest state of each
 ``cameras.py``   tracks the cameras that see the robots, and encodes their pictures
+``history.py``   keeps what pages were shown, in compressed segments
+``timeline.py``  lets pages look back: sends segments at a bounded rate
 ``study.py``     conducts a trial of a human-swarm study: phases, probes, questionnaire, log of the input
 
 The server knows no robots, and serves the runtime of the nodes on its own loop, without a further thread:
 
 ``frames.py``    the frames that a page may send, and their checks
 ``server.py``    the web application: files, WebSockets, frames that wait for a slow page
-``tokens.py``    tokens: whose they are, what they allow, how long they count
 ``tokens.py``    tokens: whose they are, what they allow, how long they count
 ``access.py``    access control: Host, Origin, token, limits of unverified connections
 ``serve.py``     the loop, start and end; opens the page in a browser
@@ -43,6 +44,7 @@ of ``index.html`` and a line in ``main.js``:
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers
 ``tools.js``      the tools of the map: goals, formations; ``pointer.js``: mouse, pen and fingers
+``past.js``       plays the past into the store that is shown; ``timeline.js``: the bar below the map
 ``study.js``      the dialogs of a study: briefing, probes, NASA-TLX; tells the console what is clicked
 ``dom.js``        helpers for elements and events
 ``uplot.js``      vendored, see ``vendored.toml``

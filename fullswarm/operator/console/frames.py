@@ -121,11 +121,17 @@ class Watch(Frame, frozen=True, kw_only=True):
     on: bool
 
 
+class Look(Frame, frozen=True, kw_only=True):
+    """Look at a moment of the past: `at`, in seconds of the frames' clock."""
+
+    at: Annotated[float, Meta(ge=-1e12, le=1e12)]
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
 
-Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Ping
+Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Look | Ping
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):

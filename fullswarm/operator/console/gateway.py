@@ -32,12 +32,14 @@ from fullswarm.operator.client import Operator
 from fullswarm.operator.console import fleet, frames
 from fullswarm.operator.console.cameras import Cameras
 from fullswarm.operator.console.fleet import CHART_NAMES, CHART_RATE_HZ, Charts
+from fullswarm.operator.console.history import History
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, for_page, named
 from fullswarm.operator.console.map import TRAIL_RATE_HZ, Coverage, Goals, HeldBack, Obstacles, Trails
 from fullswarm.operator.console.missions import MissionBoard
 from fullswarm.operator.console.sessions import ConsoleContext, Listener, OperatorSession
 from fullswarm.operator.console.stops import EStopTracker, StopTracker
 from fullswarm.operator.console.study import PLAN, StudyDesk, Swarm, TrialPlan, read_plan
+from fullswarm.operator.console.timeline import About, Timeline
 from fullswarm.operator.console.world import World
 from fullswarm.operator.missions import MissionClient
 from fullswarm.operator.view import FleetView
@@ -53,6 +55,7 @@ DESK_S, HOLD_S = 0.05, 0.5
 _log = structlog.get_logger()
 
 Made = dict[str, Any]
+StampedTrails = Callable[[], dict[str, list[list[float]]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,13 +73,23 @@ class Identity:
 class Gateway:
     """The console's node. A page enters by :meth:`join`, and gets all frames by its listener.
 
+    Parameters
+    ----------
+    new_history : makes the history of what pages are shown, given the present trails
+
     Attributes
     ----------
     undrawn : how often each kind of frame or message could not be shown
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, scheduler: Scheduler, identity: Identity, wall_s: Callable[[], float]
+        self,
+        bus: Bus,
+        keys: Keys,
+        scheduler: Scheduler,
+        identity: Identity,
+        wall_s: Callable[[], float],
+        new_history: Callable[[StampedTrails], History] = History,
     ) -> None:
         self._keys, self._scheduler, self._identity = keys, scheduler, identity
         self._sessions: dict[str, OperatorSession] = {}
@@ -85,7 +98,11 @@ class Gateway:
         self._states_sent = self._opened = 0
         self._held = False  # the study holds the simulated world still
         self.undrawn: dict[str, int] = {}
+        self._trails, self._charts, self._goals = Trails(), Charts(), Goals()
         self.view = FleetView(bus, keys, scheduler)
+        self.timeline = Timeline(
+            new_history(self._trails.stamped), scheduler, wall_s, self._send, About(offered=identity.study is None)
+        )  # fmt: skip
         self._world = World(
             bus,
             keys,
@@ -96,13 +113,12 @@ class Gateway:
         )
         self._context = ConsoleContext(
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,
-            self._new_desk(bus, wall_s),
+            self._new_desk(bus, wall_s), self.timeline.handle,
         )  # fmt: skip
         self._desk = self._context.study
         self._log_entries = EventLog(wall_s, self._send_entry)
         self._requests = RequestLog(self._log_entries, self._world.expires)
         self._changes = ChangeLog(self._log_entries)
-        self._trails, self._charts, self._goals = Trails(), Charts(), Goals()
         self._coverage, self._obstacles, self._held_back = Coverage(), Obstacles(), HeldBack()
         self._estops, self._stops = EStopTracker(scheduler, self.view.present, self._name_of), StopTracker()
         self._leases, self._missions = Leases(leases=()), MissionBoard()
@@ -167,6 +183,7 @@ class Gateway:
     def leave(self, session: OperatorSession, listener: Listener) -> None:
         """Remove a page; its session is kept for a while, what it drove stops at once."""
         session.leave(listener)
+        self.timeline.leave(listener)
         self._left_s[session.key] = self._scheduler.now_s()
 
     def close(self) -> None:
@@ -179,6 +196,7 @@ class Gateway:
             subscription.close()
         if self._desk is not None:
             self._desk.close()
+        self.timeline.close()
         self._world.close()
         self.view.close()
 
@@ -220,7 +238,7 @@ class Gateway:
             "fleet": lambda: fleet.fleet(self.view.snapshot(), now_s),
             "state": lambda: self._states_frame(now_s),
             "goals": self._goals_frame,
-            "leases": lambda: self._leases_frame(session),
+            "leases": lambda: self._leases_frame(session.name),
             "obstacles": self._obstacles.shown,
             "filter": lambda: self._held_back.shown(now_s),
             "coverage": self._coverage.shown,
@@ -228,6 +246,8 @@ class Gateway:
             "cameras": self._cameras.shown,
             "estop": self._estops.shown,
             "study": lambda: self._study_frame(session),
+            "events": self.timeline.events,
+            "timeline": lambda: self.timeline.shown(now_s),
         }
 
     def _hello(self, session: OperatorSession, now_s: float) -> Made:
@@ -260,23 +280,27 @@ class Gateway:
     def _goals_frame(self) -> Made:
         return {"t": "goals", "robots": self._goals.shown(self._world.orders())}
 
-    def _leases_frame(self, session: OperatorSession) -> Made:
+    def _leases_frame(self, reader: str) -> Made:
         leases = [
             {
                 "robot": lease.robot,
                 "operator": lease.operator,
                 "age_s": round(lease.age_s, 1),
                 "taken_from": lease.taken_from,
-                "mine": lease.operator == session.name,
+                "mine": lease.operator == reader,
             }
             for lease in self._leases.leases
         ]
         return {"t": "leases", "leases": leases}
 
     def _send(self, frame: Made) -> None:
-        """Send a frame to all pages, encoded once."""
-        if self._sessions:
+        """Send a frame to all pages, encoded once, and keep it in the history."""
+        now_s = self._scheduler.now_s()
+        kept = self.timeline.history.wants(frame["t"], now_s)
+        if self._sessions or kept:
             text = frames.encode(frame)
+            if kept:
+                self.timeline.history.add(frame["t"], text, now_s)
             for session in self._sessions.values():
                 for listener in tuple(session.listeners):
                     listener.put(frame["t"], text)
@@ -289,13 +313,14 @@ class Gateway:
                 session.send(frame["t"], frame)
 
     def _send_entry(self, entry: Entry) -> None:
+        self.timeline.add_entry(entry)
         self._send_each(lambda session: {"t": "log", "entry": entry.shown(session.name)})
 
     # ---------------------------------------------------------------- sent at a rate
     def _send_states(self) -> None:
         if self.view.states_received != self._states_sent:
             self._states_sent = self.view.states_received
-            if self._sessions:
+            if self._sessions or self.timeline.history.wants("state", self._scheduler.now_s()):
                 with self._drawing("state"):
                     self._send(self._states_frame(self._scheduler.now_s()))
 
@@ -331,7 +356,7 @@ class Gateway:
         now_s, seen = self._scheduler.now_s(), self.view.snapshot()
         with self._drawing("log"):
             self._changes.update(seen, now_s)
-        if self._sessions:
+        if self._sessions or self.timeline.history.wants("fleet", now_s):
             with self._drawing("fleet"):
                 self._send(fleet.fleet(seen, now_s))
 
@@ -343,6 +368,7 @@ class Gateway:
         with self._drawing("chart"):
             row = self._charts.add(self.view.snapshot().summaries, self._scheduler.now_s())
             if row is not None:
+                self.timeline.history.add_row(row)
                 self._send({"t": "chart", "row": row})
 
     def _send_map(self) -> None:
@@ -350,6 +376,7 @@ class Gateway:
         self._missions.expire(self._scheduler.now_s())
         self._obstacles.sweep(self._scheduler.now_s())
         self._cameras.expire(self._scheduler.now_s())
+        self._send(self.timeline.shown(self._scheduler.now_s()))
         if self._obstacles.changed:
             self._obstacles.changed = False
             with self._drawing("obstacles"):
@@ -484,8 +511,10 @@ class Gateway:
     def _on_leases(self, leases: Leases) -> None:
         self._leases = leases
         with self._drawing("leases"):
-            if self._changes.leased(leases.leases, self._scheduler.now_s()):
-                self._send_each(self._leases_frame)
+            now_s = self._scheduler.now_s()
+            if self._changes.leased(leases.leases, now_s):
+                self._send_each(lambda session: self._leases_frame(session.name))
+                self.timeline.history.add("leases", frames.encode(self._leases_frame("")), now_s)
 
     def _on_mission(self, status: MissionStatus) -> None:
         now_s = self._scheduler.now_s()

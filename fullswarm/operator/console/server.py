@@ -228,6 +228,7 @@ class Pages:
 # ---------------------------------------------------------------- frames that wait
 NEWEST_WINS = frozenset(
     {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop", "study"}
+    | {"history", "timeline"}
 )
 """Frames that are complete: a page that was busy needs only the last one."""
 PICTURES = "picture "

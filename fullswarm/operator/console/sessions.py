@@ -54,8 +54,9 @@ class ConsoleContext:
     world: World
     present: Callable[[], Iterable[str]]  # robots that are present
     end_estops: Callable[[tuple[str, ...]], None]  # no session may repeat an e-stop that is released
-    read_only: bool = False
-    study: StudyDesk | None = None  # None: the operator takes part in no study
+    read_only: bool
+    study: StudyDesk | None  # None: the operator takes part in no study
+    look: Callable[[frames.Look, Listener, str], Answer]  # shows a page the past
 
 
 class OperatorSession:
@@ -117,6 +118,8 @@ class OperatorSession:
             return Answer(ref=ref)
         if isinstance(command, frames.Watch):
             return self._watch_cameras(ref, command.on, listener)
+        if isinstance(command, frames.Look):
+            return self._context.look(command, listener, self.name)
         if self._context.read_only:
             return Answer(ref=ref, ok=False, reason=READ_ONLY)
         if self.observer:
