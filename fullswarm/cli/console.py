@@ -6,8 +6,9 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +18,7 @@ from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
+    from fullswarm.operator.console.server import PageSource
     from fullswarm.runtime import Scheduler
 
 
@@ -62,6 +64,10 @@ def console(
     insecure_network: Annotated[
         bool, typer.Option("--insecure-network", help="Listen beyond this machine: everyone on that network can drive.")
     ] = False,
+    recording: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mcap", help="Show a recording in place of a live swarm: any moment of it."),
+    ] = None,
     as_json: Json = False,
     study: Annotated[Path | None, typer.Option("--study", hidden=True)] = None,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
@@ -73,6 +79,7 @@ def console(
         return 0
     if (named or tokens) and (owner or token_file):
         raise ConfigError("--named and --tokens need neither --operator nor --token-file", where="console")
+    shown = None if recording is None else _recorded(recording)
     from fullswarm.drivers.make import makes
     from fullswarm.launch.liveness import report_alive
     from fullswarm.launch.web_console import open_browser
@@ -112,7 +119,7 @@ def console(
                 report_alive(scheduler)
 
         output.log_to_stderr(warnings_only=True)
-        return serve(target, options, on_start)
+        return serve(target, options, on_start, None if shown is None else partial(shown, icons=options.icons))
 
 
 @tokens_app.command()
@@ -178,6 +185,16 @@ def revoke(
 
     TokenFile(tokens or _tokens_file()).revoke(name)
     return 0
+
+
+def _recorded(file: Path) -> Callable[..., PageSource[Any]]:
+    """Return what shows a recording; `ConfigError` if it is none."""
+    from fullswarm.cli.record import check_extra
+
+    check_extra()
+    from fullswarm.record.playback import Playback, RecordedSwarm
+
+    return partial(Playback, file, recorded=RecordedSwarm(file))
 
 
 def _tokens_file() -> Path:

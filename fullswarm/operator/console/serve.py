@@ -18,7 +18,7 @@ import socket
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fullswarm import __version__, output
 from fullswarm.bus.base import OPERATOR, NamedBus
@@ -35,6 +35,8 @@ from fullswarm.runtime import Runtime, Scheduler
 
 if TYPE_CHECKING:
     import uvicorn
+
+    from fullswarm.operator.console.server import PageSource
 import html
 import tempfile
 import webbrowser
@@ -66,8 +68,14 @@ class Options:
     study: Path | None = None  # folder of a trial of a study
 
 
-def serve(target: Target, options: Options, on_start: OnStart) -> int:
+def serve(
+    target: Target, options: Options, on_start: OnStart, recording: Callable[[Scheduler], PageSource[Any]] | None = None
+) -> int:
     """Serve the console until Ctrl-C or SIGTERM; return the exit code.
+
+    Parameters
+    ----------
+    recording : makes what pages are connected to in place of a live swarm; None: the swarm of `target`
 
     Raises
     ------
@@ -91,7 +99,7 @@ def serve(target: Target, options: Options, on_start: OnStart) -> int:
     doorkeeper = Doorkeeper(token, wall_time_s, name=options.operator, file=file)
     keys = Keys(target.swarm)
     with contextlib.closing(bind(host, port, options.listen, ANOTHER)) as listener:
-        return asyncio.run(_serve(listener, host, (token, doorkeeper), keys, target, options, on_start))
+        return asyncio.run(_serve(listener, host, (token, doorkeeper), keys, target, options, on_start, recording))
 
 
 def parse_listen(text: str, insecure_network: bool) -> tuple[str, int]:
@@ -175,9 +183,9 @@ async def _serve(
     target: Target,
     options: Options,
     on_start: OnStart,
+    recording: Callable[[Scheduler], PageSource[Any]] | None,
 ) -> int:
     from fullswarm.operator.console.access import Names, lower, uvicorn_server
-    from fullswarm.operator.console.gateway import Gateway, Identity
     from fullswarm.operator.console.server import Pages, Web
 
     token, doorkeeper = access
@@ -185,16 +193,8 @@ async def _serve(
     runtime = Runtime(MonotonicClock())
     port = listener.getsockname()[1]
     failed: list[BaseException] = []
-    hub = target.hub or DEFAULT_HUB
-    credentials = credentials_at(hub, target.swarm, "console", "console")
-    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
-    renew_later(bus, runtime, keys, credentials)
-    try:
-        process = f"console@{socket.gethostname()}:{os.getpid()}"
-        identity = Identity(
-            socket.gethostname(), process, __version__, options.read_only, options.icons, options.study
-        )  # fmt: skip
-        gateway = Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
+    with contextlib.ExitStack() as stack:
+        gateway = _gateway(stack, runtime, keys, target, options) if recording is None else recording(runtime)
         names = Names(host, port, lower(options.allow_hosts))
 
         def fail(error: BaseException) -> None:
@@ -213,11 +213,27 @@ async def _serve(
         await server.serve([listener])
         gateway.close()
         runtime_loop.close()
-    finally:
-        bus.close()
     if failed:
         raise failed[0]
     return output.INTERRUPTED if signal.SIGINT in ended_by else 0
+
+
+def _gateway(
+    stack: contextlib.ExitStack, runtime: Runtime, keys: Keys, target: Target, options: Options
+) -> PageSource[Any]:
+    """Return the gateway of a live swarm, whose bus the stack closes."""
+    from fullswarm.operator.console.gateway import Gateway, Identity
+
+    hub = target.hub or DEFAULT_HUB
+    credentials = credentials_at(hub, target.swarm, "console", "console")
+    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
+    stack.callback(bus.close)
+    renew_later(bus, runtime, keys, credentials)
+    process = f"console@{socket.gethostname()}:{os.getpid()}"
+    identity = Identity(
+        socket.gethostname(), process, __version__, options.read_only, options.icons, options.study
+    )  # fmt: skip
+    return Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
 
 
 def end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> list[int]:

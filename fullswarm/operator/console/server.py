@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
@@ -20,8 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from fullswarm.operator.console import frames
 from fullswarm.operator.console.access import Bucket, Guard, Names
 from fullswarm.operator.console.frames import MAX_BYTES
-from fullswarm.operator.console.gateway import Gateway
-from fullswarm.operator.console.sessions import OperatorSession
+from fullswarm.operator.console.sessions import Listener
 from fullswarm.operator.console.tokens import RENEW_S, Admitted, Doorkeeper
 
 MOST_CLIENTS = 16
@@ -35,6 +35,33 @@ STALLED_S = 5.0
 BAD_TOKEN, NO_HELLO, TOO_BIG, TOO_MANY, TOO_SLOW = 4401, 4408, 4413, 4429, 1013
 
 
+class PageSession(Protocol):
+    """Carries out the frames of a page."""
+
+    def handle(self, command: frames.Command, listener: Listener) -> frames.Answer:
+        """Carry out a frame that came by `listener`."""
+        ...
+
+
+S = TypeVar("S", bound=PageSession)
+
+
+class PageSource(Protocol[S]):
+    """What pages are connected to: the gateway of a live swarm, or a recording."""
+
+    def join(self, key: str, name: str, listener: Listener, *, named: bool = False, observer: bool = False) -> S:
+        """Add a page; see :meth:`fullswarm.operator.console.gateway.Gateway.join`."""
+        ...
+
+    def leave(self, session: S, listener: Listener) -> None:
+        """Remove a page."""
+        ...
+
+    def close(self) -> None:
+        """End all that it does for pages."""
+        ...
+
+
 @dataclass(slots=True)
 class Web:
     """Serves the pages: their files and their WebSockets.
@@ -45,7 +72,7 @@ class Web:
         Called after each command, because the nodes may have set timers.
     """
 
-    gateway: Gateway
+    gateway: PageSource[Any]
     doorkeeper: Doorkeeper
     now_s: Callable[[], float]
     wake: Callable[[], None]
@@ -121,7 +148,7 @@ class Web:
             if isinstance(result, Exception) and not isinstance(result, WebSocketDisconnect) and not ended:
                 raise result
 
-    async def _listen(self, websocket: WebSocket, session: OperatorSession, outbox: Outbox) -> None:
+    async def _listen(self, websocket: WebSocket, session: PageSession, outbox: Outbox) -> None:
         """Answer a page's frames until it is closed or exceeds a limit."""
         bucket = Bucket(RATE_HZ, BURST)
         while True:

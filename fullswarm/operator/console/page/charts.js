@@ -19,11 +19,9 @@ export class Charts {
   /**
    * @param {import("./store.js").Store} store
    * @param {import("./theme.js").Theme} theme
-   * @param {import("./past.js").Past} past
    */
-  constructor(store, theme, past) {
+  constructor(store, theme) {
     this.store = store;
-    this.past = past;
     this.theme = theme;
     this.plots = /** @type {{chart: Chart, holder: HTMLElement, plot: uPlot}[]} */ ([]);
     this.#box = byId("charts");
@@ -49,7 +47,7 @@ export class Charts {
     const which = this.theme.dark ? 1 : 0;
     this.plots = CHARTS.map((chart, k) => {
       const holder = /** @type {HTMLElement} */ (this.#box.querySelectorAll(".chart-plot")[k]);
-      const here = () => (this.past.live ? "now" : this.past.clock(this.store.charts.at(-1)?.[0] ?? this.past.at_s));
+      const here = () => (this.store.still ? "then" : "now");
       return { chart, holder, plot: new uPlot(options(chart, holder, which, here), [[], []], holder) };
     });
     this.#draw();

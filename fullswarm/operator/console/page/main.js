@@ -39,6 +39,8 @@ import { TimeBar } from "./timeline.js";
 import { Toolbar } from "./toolbar.js";
 import { Tools } from "./tools.js";
 
+const FIT_MS = 200;
+
 const store = new Store();
 const present = new Store();
 const link = new Link(identity());
@@ -62,7 +64,7 @@ new Panel({ store: present, selection, commands, tools });
 new GroupBar(store, selection);
 new FleetTable({ store, selection, commands, link });
 new Legend(store);
-new Charts(store, theme, past);
+new Charts(store, theme);
 new LogView(store);
 new Missions({ store, commands });
 new CameraView({ store: present, link });
@@ -77,6 +79,12 @@ link.on("message", (message) => {
 past.on("mode", (live) => {
   if (!live) releaseDriving();
   if (!live && tools.mode !== "select") tools.use("select");
+});
+let placed = false;
+past.on("change", () => {
+  if (placed || !past.recording || !past.ready) return;
+  placed = true;
+  setTimeout(() => map.fit(), FIT_MS); // a recording may name no arena: when its robots are drawn
 });
 present.on("hello", ({ swarm, operator }) => {
   setText(byId("swarm"), swarm);

@@ -62,9 +62,10 @@ export class SwarmMap {
     if (all) this.#floorStale = true;
   }
 
-  /** Show the arena, or the robots if there is none. */
+  /** Show the arena, or the robots and what they have detected if there is none. */
   fit() {
-    const box = this.store.arena ?? bounds(this.placed.map(({ x, y }) => [x, y]));
+    const seen = /** @type {import("./types.d.ts").Point[]} */ (this.store.obstacles.map(([x, y]) => [x, y]));
+    const box = this.store.arena ?? bounds([...this.placed.map(({ x, y }) => /** @type {[number, number]} */ ([x, y])), ...seen]);
     if (box && this.view.width > 1) this.view.fit(box);
     this.#fit = this.#shown();
     this.touch(true);

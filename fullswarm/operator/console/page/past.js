@@ -109,7 +109,7 @@ export class Past extends Emitter {
     this.#due = true;
     if (this.live) {
       this.live = false;
-      this.store.clock = this.#clock;
+      [this.store.clock, this.store.still] = [this.#clock, true];
       this.emit("mode", false);
     }
     this.#show();
@@ -122,6 +122,7 @@ export class Past extends Emitter {
     if (this.live || this.recording) return this.emit("change");
     this.live = true;
     this.#segment = this.#next = null;
+    this.store.still = false;
     this.store.adopt(this.present);
     this.emit("mode", true);
     return this.emit("change");

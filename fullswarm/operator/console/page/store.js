@@ -35,6 +35,7 @@ export class Store extends Emitter {
     this.tracks = /** @type {Map<string, Track>} */ (new Map());
     this.clock = /** @type {{update: (at_s: number, now_s: number) => void, drawn: (now_s: number) => number}} */ (new ServerClock());
     this.at_s = 0;
+    this.still = false; // it holds a moment of the past
     this.fleet = /** @type {Map<string, Robot>} */ (new Map());
     this.hub = true;
     this.core_age_s = /** @type {number | null} */ (null);
