@@ -70,6 +70,7 @@ def console(
     ] = None,
     as_json: Json = False,
     study: Annotated[Path | None, typer.Option("--study", hidden=True)] = None,
+    recorded_to: Annotated[Path | None, typer.Option("--recorded-to", hidden=True)] = None,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> int:
     """Serve the web console: watch, drive and stop the swarm from a browser. Print the address to open."""
@@ -95,6 +96,7 @@ def console(
         operator=operator_name(owner) if owner else "",
         insecure_network=insecure_network,
         study=study,
+        recording=_recording_of(target.swarm, recorded_to),
         icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},
     )
     with contextlib.ExitStack() as stack:
@@ -185,6 +187,23 @@ def revoke(
 
     TokenFile(tokens or _tokens_file()).revoke(name)
     return 0
+
+
+def _recording_of(swarm: str, given: Path | None) -> Callable[[], Path | None]:
+    """Return what finds the recording that is made of a swarm on this machine; `given`: that of `up --record`."""
+
+    def find() -> Path | None:
+        if given is not None:
+            return given if given.exists() else None
+        if not can_record():
+            return None
+        from fullswarm.record.session import running
+
+        return next((Path(each.file) for each in running() if each.swarm == swarm), None)
+
+    from fullswarm.launch.up import can_record
+
+    return find
 
 
 def _recorded(file: Path) -> Callable[..., PageSource[Any]]:

@@ -78,9 +78,9 @@ def _moment(text: str, option: str, first_ns: int) -> int:
 def clip(path: Path, out: Path, wanted: Range) -> Contents:
     """Copy a part of a recording into the new file `out`; return what that holds.
 
-    The newest message of each channel before the part, and the newest of each parameter, stand at its beginning: whoever
-    reads the clip knows poses, health and settings from its first moment on. Journals are left out: nodes cannot be run
-    again from the middle.
+    The newest message of each channel before the part, and the newest of each parameter, stand at its beginning: poses,
+    health and settings are known from its first moment on. Journals are left out: nodes cannot be run again from the
+    middle.
 
     Raises
     ------

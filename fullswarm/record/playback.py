@@ -26,10 +26,11 @@ from fullswarm.keys import Keys
 from fullswarm.messages import Message as BusMessage
 from fullswarm.messages import ParamEntry, ParamReply, ParamRequest
 from fullswarm.operator.console import frames
+from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.frames import Answer
 from fullswarm.operator.console.gateway import Gateway, Identity, StampedTrails
 from fullswarm.operator.console.history import History, Limits
-from fullswarm.operator.console.sessions import Listener
+from fullswarm.operator.console.sessions import OBSERVER, Listener
 from fullswarm.operator.console.timeline import About, Timeline
 from fullswarm.record.decoding import Decoder
 from fullswarm.record.reading import continued, records, size_of
@@ -161,13 +162,19 @@ class PlaybackSession:
 
     playback: Playback
     listener: Listener
+    name: str
+    observer: bool
 
     def handle(self, command: frames.Command, listener: Listener) -> Answer:
         """Carry out a frame: only the past can be asked for."""
         if isinstance(command, frames.Ping | frames.Release | frames.Input):
             return Answer(ref=command.ref)
         if isinstance(command, frames.Look):
-            return self.playback.timeline.handle(command, listener, "")
+            return self.playback.timeline.handle(command, listener, self.name)
+        if isinstance(command, frames.Mark | frames.Clip):
+            if self.observer:
+                return Answer(ref=command.ref, ok=False, reason=OBSERVER)
+            return self.playback.timeline.handle(command, listener, self.name)
         return Answer(ref=command.ref, ok=False, reason=NO_ROBOTS)
 
 
@@ -216,7 +223,14 @@ class Playback:
             self._bus, keys, self._runtime, identity, lambda: self._wall_s(self._runtime.now_s()), new_history
         )
         history = self._gateway.timeline.history
-        self.timeline = Timeline(history, scheduler, lambda: self._wall_s(history.to_s), self._send, About(path.name))
+        self.timeline = Timeline(
+            history,
+            scheduler,
+            lambda: history.to_s,
+            lambda: self._wall_s(history.to_s),
+            self._send,
+            About(path.name, file=lambda: path),
+        )
         self._messages = recorded.messages()
         self._timer = scheduler.every(SHOW_S, self._show)
         scheduler.after(PAUSE_S, self._slice)
@@ -226,21 +240,25 @@ class Playback:
         self, key: str, name: str, listener: Listener, *, named: bool = False, observer: bool = False
     ) -> PlaybackSession:
         """Add a page; see :meth:`fullswarm.operator.console.gateway.Gateway.join`."""
-        del key, named, observer
+        del key, named
         hello = {
             "t": "hello", "swarm": self._keys.swarm, "version": __version__, "read_only": True, "operator": name,
             "icons": dict(self._icons),
         }  # fmt: skip
-        for frame in (hello, self.timeline.events(), self._shown()):
+        for frame in (hello, self.timeline.events(), self._shown(), self.timeline.bookmarks()):
             listener.put(frame["t"], frames.encode(frame))
         self._listeners.append(listener)
-        return PlaybackSession(self, listener)
+        return PlaybackSession(self, listener, name, observer)
 
     def leave(self, session: PlaybackSession, listener: Listener) -> None:
         """Forget a page."""
         self.timeline.leave(listener)
         if session.listener in self._listeners:
             self._listeners.remove(session.listener)
+
+    def download(self, key: str) -> Download | None:
+        """Return a clip by the key that its page got; None: there is none."""
+        return self.timeline.clips.download(key)
 
     def close(self) -> None:
         """End reading and showing."""
@@ -256,9 +274,7 @@ class Playback:
             listener.put(frame["t"], text)
 
     def _shown(self) -> dict[str, Any]:
-        history = self.timeline.history
-        share = None if self._done else self.recorded.share
-        return self.timeline.shown(history.to_s, share)
+        return self.timeline.shown(None if self._done else self.recorded.share)
 
     def _show(self) -> None:
         self._send(self._shown())

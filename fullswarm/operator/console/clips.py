@@ -26,8 +26,8 @@ KEPT = 4
 """Files that can be downloaded; the oldest makes way for a new one."""
 WORDS = 300
 NO_RECORDING = (
-    "nothing is recorded, so there is nothing to cut a clip from: start the swarm with `fullswarm up --record FILE.mcap`, "
-    "or run `fullswarm record start`"
+    "nothing is recorded on this machine, so there is nothing to cut a clip from: start the swarm with "
+    "`fullswarm up --record FILE.mcap`, or run `fullswarm record start`"
 )
 BUSY = "a clip is being made already: wait until it is done"
 _DONE = re.compile(rb"(\d+) of (\d+) frames")

@@ -31,6 +31,7 @@ from fullswarm.messages import (
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console import fleet, frames
 from fullswarm.operator.console.cameras import Cameras
+from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.fleet import CHART_NAMES, CHART_RATE_HZ, Charts
 from fullswarm.operator.console.history import History
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, for_page, named
@@ -68,6 +69,7 @@ class Identity:
     read_only: bool = False
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
     study: Path | None = None  # folder of a trial with its plan; None: no study
+    recording: Callable[[], Path | None] = lambda: None  # the recording that is made of the swarm now, on this machine
 
 
 class Gateway:
@@ -101,7 +103,8 @@ class Gateway:
         self._trails, self._charts, self._goals = Trails(), Charts(), Goals()
         self.view = FleetView(bus, keys, scheduler)
         self.timeline = Timeline(
-            new_history(self._trails.stamped), scheduler, wall_s, self._send, About(offered=identity.study is None)
+            new_history(self._trails.stamped), scheduler, scheduler.now_s, wall_s, self._send,
+            About(offered=identity.study is None, file=identity.recording),
         )  # fmt: skip
         self._world = World(
             bus,
@@ -186,6 +189,10 @@ class Gateway:
         self.timeline.leave(listener)
         self._left_s[session.key] = self._scheduler.now_s()
 
+    def download(self, key: str) -> Download | None:
+        """Return a clip by the key that its page got; None: there is none."""
+        return self.timeline.clips.download(key)
+
     def close(self) -> None:
         """Release all robots and unsubscribe."""
         for key in list(self._sessions):
@@ -247,7 +254,8 @@ class Gateway:
             "estop": self._estops.shown,
             "study": lambda: self._study_frame(session),
             "events": self.timeline.events,
-            "timeline": lambda: self.timeline.shown(now_s),
+            "timeline": self.timeline.shown,
+            "bookmarks": self.timeline.bookmarks,
         }
 
     def _hello(self, session: OperatorSession, now_s: float) -> Made:
@@ -376,7 +384,9 @@ class Gateway:
         self._missions.expire(self._scheduler.now_s())
         self._obstacles.sweep(self._scheduler.now_s())
         self._cameras.expire(self._scheduler.now_s())
-        self._send(self.timeline.shown(self._scheduler.now_s()))
+        if self._sessions:
+            self._send(self.timeline.shown())
+            self.timeline.send_bookmarks()
         if self._obstacles.changed:
             self._obstacles.changed = False
             with self._drawing("obstacles"):

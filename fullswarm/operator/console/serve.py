@@ -66,6 +66,7 @@ class Options:
     insecure_network: bool = False
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
     study: Path | None = None  # folder of a trial of a study
+    recording: Callable[[], Path | None] = lambda: None  # the recording that is made of the swarm now, on this machine
 
 
 def serve(
@@ -231,7 +232,7 @@ def _gateway(
     renew_later(bus, runtime, keys, credentials)
     process = f"console@{socket.gethostname()}:{os.getpid()}"
     identity = Identity(
-        socket.gethostname(), process, __version__, options.read_only, options.icons, options.study
+        socket.gethostname(), process, __version__, options.read_only, options.icons, options.study, options.recording
     )  # fmt: skip
     return Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
 

@@ -14,12 +14,13 @@ from typing import Any, Protocol, TypeVar
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from fullswarm.operator.console import frames
 from fullswarm.operator.console.access import Bucket, Guard, Names
+from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.frames import MAX_BYTES
 from fullswarm.operator.console.sessions import Listener
 from fullswarm.operator.console.tokens import RENEW_S, Admitted, Doorkeeper
@@ -57,6 +58,10 @@ class PageSource(Protocol[S]):
         """Remove a page."""
         ...
 
+    def download(self, key: str) -> Download | None:
+        """Return a file by the key that a page got; None: there is none."""
+        ...
+
     def close(self) -> None:
         """End all that it does for pages."""
         ...
@@ -85,9 +90,17 @@ class Web:
         routes = [
             Route("/", pages.serve),
             Route("/page/{name:path}", pages.serve),
+            Route("/clip/{key}", self.clip),
             WebSocketRoute("/ws", self.socket),
         ]
         return Starlette(routes=routes, middleware=[Middleware(Guard, names=names)])
+
+    async def clip(self, request: Request) -> Response:
+        """Answer a request for a clip; its key is a secret that only the page has that asked for it."""
+        found = self.gateway.download(request.path_params["key"])
+        if found is None:
+            return PlainTextResponse("this clip is gone: make it again", 404)
+        return FileResponse(found.file, filename=found.name, headers={"Cache-Control": "no-store"})
 
     async def socket(self, websocket: WebSocket) -> None:
         """Serve one page until it is closed."""
@@ -255,7 +268,7 @@ class Pages:
 # ---------------------------------------------------------------- frames that wait
 NEWEST_WINS = frozenset(
     {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop", "study"}
-    | {"history", "timeline"}
+    | {"history", "timeline", "events", "bookmarks"}
 )
 """Frames that are complete: a page that was busy needs only the last one."""
 PICTURES = "picture "

@@ -56,7 +56,7 @@ class ConsoleContext:
     end_estops: Callable[[tuple[str, ...]], None]  # no session may repeat an e-stop that is released
     read_only: bool
     study: StudyDesk | None  # None: the operator takes part in no study
-    look: Callable[[frames.Look, Listener, str], Answer]  # shows a page the past
+    look: Callable[[frames.Past, Listener, str], Answer]  # shows a page the past
 
 
 class OperatorSession:
@@ -124,6 +124,8 @@ class OperatorSession:
             return Answer(ref=ref, ok=False, reason=READ_ONLY)
         if self.observer:
             return Answer(ref=ref, ok=False, reason=OBSERVER)
+        if isinstance(command, frames.Mark | frames.Clip):
+            return self._context.look(command, listener, self.name)
         desk = self._context.study
         if isinstance(command, frames.Study):
             reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"

@@ -6,9 +6,12 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 from fullswarm.operator.console import frames
+from fullswarm.operator.console.bookmarks import Bookmarks
+from fullswarm.operator.console.clips import Clips
 from fullswarm.operator.console.frames import Answer
 from fullswarm.operator.console.history import History, event
 from fullswarm.operator.console.log import Entry
@@ -29,10 +32,12 @@ class About:
     ----------
     recording : name of the recording; empty: a live session
     offered : whether pages may look back
+    file : returns the recording that is shown, or is made of a live session; None: there is none
     """
 
     recording: str = ""
     offered: bool = True
+    file: Callable[[], Path | None] = lambda: None
 
 
 class Timeline:
@@ -40,7 +45,7 @@ class Timeline:
 
     Parameters
     ----------
-    wall_s : returns seconds since 1970 of the present moment of the history's clock
+    now_s, wall_s : return the same moment, on the clock of the frames and in seconds since 1970
     send : sends a frame to all pages
     """
 
@@ -48,27 +53,67 @@ class Timeline:
         self,
         history: History,
         scheduler: Scheduler,
+        now_s: Callable[[], float],
         wall_s: Callable[[], float],
         send: Callable[[dict[str, Any]], None],
         about: About | None = None,
     ) -> None:
         self.history = history
-        self._scheduler, self._wall_s, self._send = scheduler, wall_s, send
+        self._now_s, self._wall_s, self._send = now_s, wall_s, send
         self._about = about or About()
         self._wanted: OrderedDict[Listener, tuple[float, str]] = OrderedDict()
+        self._bookmarks = Bookmarks(self._about.file)
+        self.clips = Clips(self._about.file, scheduler)
         self._timer = scheduler.every(LOOK_S, self._serve)
 
     def close(self) -> None:
         """Send no more."""
         self._timer.cancel()
         self._wanted.clear()
+        self.clips.close()
 
-    def handle(self, command: frames.Look, listener: Listener, reader: str) -> Answer:
-        """Note which moment a page wants to see; of several the newest one counts."""
+    def handle(self, command: frames.Past, listener: Listener, reader: str) -> Answer:
+        """Carry out what a page wants of the past. Of moments to look at the newest one counts."""
         if not self._about.offered:
             return Answer(ref=command.ref, ok=False, reason=STUDY)
-        self._wanted[listener] = command.at, reader
-        return Answer(ref=command.ref)
+        match command:
+            case frames.Look():
+                self._wanted[listener] = command.at, reader
+                reason = ""
+            case frames.Mark():
+                reason = self._mark(command, reader)
+            case frames.Clip():
+                reason = self._clip(command, listener)
+        return Answer(ref=command.ref, ok=not reason, reason=reason)
+
+    def _mark(self, command: frames.Mark, reader: str) -> str:
+        name = " ".join(command.name.split())
+        if command.op == "delete":
+            reason = self._bookmarks.delete(command.id)
+        elif not name or not name.isprintable():
+            return "a bookmark needs a name"
+        else:
+            reason = self._bookmarks.add(self._time_s(command.at), name, reader)
+        self.send_bookmarks()
+        return reason
+
+    def _clip(self, command: frames.Clip, listener: Listener) -> str:
+        if command.begin >= command.end:
+            return "a clip ends after its beginning: set both again"
+        return self.clips.make(self._time_s(command.begin), self._time_s(command.end), command.kind, listener)
+
+    def _time_s(self, at_s: float) -> float:
+        """Return seconds since 1970 of a moment on the clock of the frames."""
+        return self._wall_s() + at_s - self._now_s()
+
+    def bookmarks(self) -> dict[str, Any]:
+        """Return the frame ``bookmarks``."""
+        marks = self._bookmarks.shown(self._now_s(), self._wall_s()) if self._about.offered else []
+        return {"t": "bookmarks", "bookmarks": marks, "clips": self.clips.refusal()}
+
+    def send_bookmarks(self) -> None:
+        """Send all pages the bookmarks, and whether there can be clips."""
+        self._send(self.bookmarks())
 
     def leave(self, listener: Listener) -> None:
         """Forget a page."""
@@ -80,7 +125,7 @@ class Timeline:
         if self._about.offered:
             self._send({"t": "event", "event": event(entry)})
 
-    def shown(self, now_s: float, read_share: float | None = None) -> dict[str, Any]:
+    def shown(self, read_share: float | None = None) -> dict[str, Any]:
         """Return the frame ``timeline``: what can be looked at.
 
         Parameters
@@ -90,7 +135,7 @@ class Timeline:
         clock = datetime.fromtimestamp(self._wall_s())
         return {
             "t": "timeline",
-            "at": round(now_s, 3),
+            "at": round(self._now_s(), 3),
             # Of the day here: the log's times are, too, and a browser may be in another time zone.
             "clock_s": round(clock.hour * 3600.0 + clock.minute * 60.0 + clock.second + 1e-6 * clock.microsecond, 3),
             "from": round(self.history.from_s, 3),

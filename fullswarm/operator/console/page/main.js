@@ -8,7 +8,8 @@
  *           camera.js, banners.js, study.js (the dialogs of a study)
  * map       map.js (the loop), ground.js (below the robots), robots.js, sprites.js, tools.js, pointer.js, toolbar.js,
  *           viewport.js, geometry.js, palette.js, theme.js
- * time      past.js (plays the past into the store that is shown), timeline.js (the bar below the map)
+ * time      past.js (plays the past into the store that is shown), timeline.js (the bar below the map),
+ *           marks.js (bookmarks, clips)
  *
  * There are two stores. `store` holds what is shown, now or in the past: map, fleet, charts, log, missions. `present` holds what
  * is now, always: stops, driving, requests and the link read that one.
@@ -26,6 +27,7 @@ import { Legend } from "./legend.js";
 import { identity, Link } from "./link.js";
 import { LogView } from "./log.js";
 import { SwarmMap } from "./map.js";
+import { Marks } from "./marks.js";
 import { Missions } from "./missions.js";
 import { Panel } from "./panel.js";
 import { Past } from "./past.js";
@@ -69,7 +71,8 @@ new LogView(store);
 new Missions({ store, commands });
 new CameraView({ store: present, link });
 new Study({ store: present, link, selection, map, tools });
-const timeBar = new TimeBar({ past, present, commands, hint: (words) => banners.hint(words) });
+const timeBar = new TimeBar({ past, present, commands });
+new Marks({ past, present, link, bar: timeBar });
 tabs();
 
 link.on("message", (message) => {

@@ -5,7 +5,7 @@ import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
-/** @import { Behaviour, Box, Camera, ChartRow, Coverage, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, TimeEvent, TimelineFrame, World } from "./types.d.ts" */
+/** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, TimeEvent, TimelineFrame, World } from "./types.d.ts" */
 
 const LOG_KEPT = 500;
 const CHART_KEPT = 1200;
@@ -13,13 +13,14 @@ const CHART_KEPT = 1200;
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
  * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study,
- * cameras, picture; timeline, history, events (all), event.
+ * cameras, picture; timeline, history, events (all), event, bookmarks, clip.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
  *   goals: Store["goals"], docks: Dock[], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
  *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study,
  *   cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string},
- *   timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent}>}
+ *   timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
+ *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame}>}
  */
 export class Store extends Emitter {
   constructor() {
@@ -144,6 +145,8 @@ export class Store extends Emitter {
     history: (message) => this.emit("history", message),
     events: ({ events }) => this.emit("events", events),
     event: ({ event }) => this.emit("event", event),
+    bookmarks: (message) => this.emit("bookmarks", message),
+    clip: (message) => this.emit("clip", message),
   });
 
   /**

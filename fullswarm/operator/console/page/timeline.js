@@ -3,7 +3,7 @@
 import { byId, make, setFlag, setText } from "./dom.js";
 import { seconds } from "./link.js";
 
-/** @import { TimeEvent } from "./types.d.ts" */
+/** @import { Bookmark, TimeEvent } from "./types.d.ts" */
 
 const SHOW_MS = 250;
 const MOST_EVENTS = 2000;
@@ -11,24 +11,24 @@ const APART_PX = 4; // ticks closer together are one
 const STEP_S = 1;
 const NAMES = /** @type {Record<string, string>} */ ({
   request: "request", refused: "refused", stop: "stop", estop: "e-stop", mission: "mission", lease: "lease", link: "link",
-  reload: "reload", fault: "fault",
+  reload: "reload", fault: "fault", bookmark: "bookmark",
 });
-const WEIGHT = ["request", "reload", "lease", "link", "mission", "refused", "stop", "fault", "estop"]; // the last one is shown
+const WEIGHT = ["request", "reload", "lease", "link", "mission", "refused", "stop", "fault", "estop", "bookmark"]; // the last one is shown
 export const WITHHELD = "you are looking at the past: go back to live first (key L)";
 
 export class TimeBar {
   /**
    * @param {{past: import("./past.js").Past, present: import("./store.js").Store,
-   *   commands: import("./commands.js").Commands, hint: (words: string) => void}} parts
+   *   commands: import("./commands.js").Commands}} parts
    */
-  constructor({ past, present, commands, hint }) {
+  constructor({ past, present, commands }) {
     this.past = past;
     this.commands = commands;
-    this.hint = hint;
     this.bar = byId("timeline");
     this.slider = /** @type {HTMLInputElement} */ (byId("time-at"));
     this.ticks = byId("time-ticks");
     this.events = /** @type {TimeEvent[]} */ ([]);
+    this.marks = /** @type {TimeEvent[]} */ ([]);
     present.on("timeline", (span) => past.update(span));
     present.on("history", (history) => past.receive(history));
     present.on("events", (events) => this.#all(events));
@@ -155,6 +155,15 @@ export class TimeBar {
     this.#dirty = true;
   }
 
+  /**
+   * Show bookmarks on the bar, in place of those before.
+   * @param {Bookmark[]} marks
+   */
+  mark(marks) {
+    this.marks = marks.map(({ at, name }) => ({ at, kind: "bookmark", text: name }));
+    this.#drawTicks();
+  }
+
   #drawTicks() {
     this.#dirty = true;
     this.#show();
@@ -168,7 +177,8 @@ export class TimeBar {
     const width = this.ticks.clientWidth;
     if (!width || (!this.#dirty && !this.past.live && !this.past.span?.recording)) return;
     this.#dirty = false;
-    const groups = grouped(this.events, (event) => (width * (event.at - this.past.from_s)) / length_s);
+    const events = [...this.events, ...this.marks].sort((one, other) => one.at - other.at);
+    const groups = grouped(events, (event) => (width * (event.at - this.past.from_s)) / length_s);
     while (this.ticks.children.length > groups.length) this.ticks.lastElementChild?.remove();
     for (const [number, { px, events }] of groups.entries()) {
       const tick = /** @type {HTMLElement} */ (this.ticks.children[number] ?? this.ticks.appendChild(make("span", { class: "time-tick" })));

@@ -285,6 +285,21 @@ export interface TimelineFrame {
   read: number | null; // share of a recording that is read so far; null: all
 }
 
+export interface Bookmark {
+  id: string;
+  at: number;
+  name: string;
+  by: string;
+}
+
+export interface ClipFrame {
+  t: "clip";
+  state: "running" | "done" | "failed";
+  words: string;
+  url: string;
+  name: string;
+}
+
 /** A part of the past. Its first frames are the newest of each kind when it began. */
 export interface History {
   t: "history";
@@ -320,6 +335,8 @@ export type Message =
   | History
   | { t: "events"; events: TimeEvent[] }
   | { t: "event"; event: TimeEvent }
+  | { t: "bookmarks"; bookmarks: Bookmark[]; clips: string } // clips: why there can be none now; empty: there can
+  | ClipFrame
   | Lost;
 
 declare global {
