@@ -148,7 +148,7 @@ window.fullswarm = Object.freeze({
       robots, docks: structuredClone(store.docks), selection: selection.list(),
       goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
       operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: store.charts.length, log: store.log.length,
-      time: { live: past.live, at_s: past.live ? store.at_s : past.at_s, from_s: past.from_s, to_s: past.to_s, ready: past.ready, playing: past.playing },
+      time: { live: past.live, at_s: past.live ? map.drawn_s : past.at_s, from_s: past.from_s, to_s: past.to_s, ready: past.ready, playing: past.playing },
     };
   },
   look: (/** @type {number} */ at_s) => past.look(at_s),
