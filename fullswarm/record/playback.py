@@ -241,7 +241,7 @@ class Playback:
     ) -> PlaybackSession:
         """Add a page; see :meth:`fullswarm.operator.console.gateway.Gateway.join`."""
         del key, named
-        hello = {
+        hello: dict[str, Any] = {
             "t": "hello", "swarm": self._keys.swarm, "version": __version__, "read_only": True, "operator": name,
             "icons": dict(self._icons),
         }  # fmt: skip

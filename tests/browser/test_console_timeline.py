@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
-from PIL import Image
+from PIL import Image, ImageSequence
 from playwright.sync_api import Browser, ViewportSize, expect
 
 from tests.browser.axe import NPM, violations
@@ -92,12 +92,16 @@ def test_a_recording_plays_at_a_speed_and_stands_still(recording: Console) -> No
     look(recording, 2.0)
     recording.named("time-speed").select_option("4")
     recording.named("time-play").click()
-    recording.until(lambda: recording.state["time"]["at_s"] > 11.0, 15.0, "it plays into the next segment")
+    recording.until(lambda: recording.state["time"]["at_s"] > 10.3, 15.0, "it plays into the next segment")
     recording.named("time-play").click()
     stood_s = recording.state["time"]["at_s"]
     assert recording.places()["r1"][0] == pytest.approx(0.1 * stood_s, abs=0.05)
     recording.named("time-forward").click()
     recording.until(lambda: recording.state["time"]["at_s"] == pytest.approx(stood_s + 1.0), 5.0, "one second on")
+    look(recording, 8.0)
+    recording.press("k")
+    recording.until(lambda: recording.state["time"]["at_s"] == pytest.approx(12.0, abs=0.2), 5.0, "the next event")
+    expect(recording.named("time-spoken")).to_have_text(re.compile(r"\d\d:\d\d:\d\d stop: .* stops the whole swarm"))
     recording.named("time-at").focus()
     recording.page.keyboard.press("Home")
     recording.until(lambda: recording.state["time"]["at_s"] == pytest.approx(0.0, abs=0.2), 5.0, "the beginning")
@@ -141,7 +145,7 @@ def test_a_clip_is_made_and_downloaded(recording: Console, kind: str, tmp_path: 
     if kind == "gif":
         with Image.open(io.BytesIO(data)) as picture:
             assert picture.format == "GIF"
-            assert picture.n_frames == 31
+            assert sum(1 for _ in ImageSequence.Iterator(picture)) == 31
         return
     (tmp_path / "clip.mcap").write_bytes(data)
     x = [

@@ -113,7 +113,7 @@ def _bounds(
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     stored = swarm.seeds.get(BOUNDS)
     if isinstance(stored, list) and len(stored) == 2:
-        return np.array([value for corner in stored for value in corner], np.float64)
+        return np.array(stored, np.float64).ravel()
     low, high = np.nanmin(pose[..., :2], axis=(0, 1)), np.nanmax(pose[..., :2], axis=(0, 1))
     return np.array([*(low - MARGIN_M), *(high + MARGIN_M)], np.float64)
 

@@ -6,6 +6,8 @@ import contextlib
 import os
 import re
 import secrets
+import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -95,7 +97,7 @@ class Clips:
         ]  # fmt: skip
         log = out.with_suffix(".log").open("w+b")
         # Behind all else on this machine: the swarm may run here, too.
-        nice = ["nice", "-n", "15"] if os.name == "posix" else []
+        nice = ["nice", "-n", "15"] if shutil.which("nice") else []
         try:
             process = subprocess.Popen(  # noqa: S603  (no shell; all parts are our own)
                 [*nice, *command], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log,
@@ -148,7 +150,10 @@ class Clips:
         self._job = None
         if job.process.poll() is None:
             with contextlib.suppress(OSError):
-                job.process.kill()
+                if os.name == "posix":
+                    os.killpg(job.process.pid, signal.SIGKILL)  # with ffmpeg, which it may have started
+                else:
+                    job.process.kill()
             job.process.wait()
         job.log.close()
 

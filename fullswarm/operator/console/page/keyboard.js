@@ -27,6 +27,7 @@ export class Keyboard {
       "+": () => toolbar.zoom(1.3), "=": () => toolbar.zoom(1.3), "-": () => toolbar.zoom(1 / 1.3),
       "[": () => selection.stepRobot(-1), "]": () => selection.stepRobot(1),
       p: () => timeBar.play(), l: () => past.toLive(), ",": () => past.step(-1), ".": () => past.step(1),
+      j: () => timeBar.event(-1), k: () => timeBar.event(1),
       "?": help, "`": debug, Escape: escape,
     };
     addEventListener("keydown", (event) => this.#down(event), { capture: true });

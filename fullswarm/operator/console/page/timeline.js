@@ -9,6 +9,7 @@ const SHOW_MS = 250;
 const MOST_EVENTS = 2000;
 const APART_PX = 4; // ticks closer together are one
 const STEP_S = 1;
+const SAME_S = 0.05; // an event so near is the one that is shown
 const NAMES = /** @type {Record<string, string>} */ ({
   request: "request", refused: "refused", stop: "stop", estop: "e-stop", mission: "mission", lease: "lease", link: "link",
   reload: "reload", fault: "fault", bookmark: "bookmark",
@@ -66,6 +67,20 @@ export class TimeBar {
   play() {
     if (this.past.live) this.past.step(-STEP_S);
     else this.past.toggle();
+  }
+
+  /**
+   * Go to the next event or bookmark, or the one before, and say what it is.
+   * @param {1 | -1} direction
+   */
+  event(direction) {
+    const { past } = this;
+    const at_s = past.live ? past.to_s : past.at_s;
+    const ahead = [...this.events, ...this.marks].filter((event) => event.at >= past.from_s && direction * (event.at - at_s) > SAME_S);
+    if (!ahead.length) return;
+    const found = ahead.reduce((one, other) => (direction * (other.at - one.at) < 0 ? other : one));
+    past.look(found.at);
+    setText(byId("time-spoken"), line(past, found));
   }
 
   /** @param {boolean} open */
@@ -186,10 +201,18 @@ export class TimeBar {
       setFlag(tick, "data-kind", heaviest.kind);
       setFlag(tick, "data-at", String(heaviest.at));
       tick.style.transform = `translateX(${px.toFixed(1)}px)`;
-      const lines = events.slice(-8).map(({ at, kind, text }) => `${this.past.clock(at)} ${NAMES[kind] ?? kind}: ${text}`);
-      setFlag(tick, "title", lines.join("\n"));
+      setFlag(tick, "title", events.slice(-8).map((event) => line(this.past, event)).join("\n"));
     }
   }
+}
+
+/**
+ * Write an event as a line.
+ * @param {import("./past.js").Past} past
+ * @param {TimeEvent} event
+ */
+function line(past, { at, kind, text }) {
+  return `${past.clock(at)} ${NAMES[kind] ?? kind}: ${text}`;
 }
 
 /**
