@@ -96,7 +96,7 @@ def console(
         operator=operator_name(owner) if owner else "",
         insecure_network=insecure_network,
         study=study,
-        recording=_recording_of(target.swarm, recorded_to),
+        recording=_recording_of(target, recorded_to),
         icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},
     )
     with contextlib.ExitStack() as stack:
@@ -189,21 +189,15 @@ def revoke(
     return 0
 
 
-def _recording_of(swarm: str, given: Path | None) -> Callable[[], Path | None]:
+def _recording_of(target: Target, given: Path | None) -> Callable[[], Path | None]:
     """Return what finds the recording that is made of a swarm on this machine; `given`: that of `up --record`."""
-
-    def find() -> Path | None:
-        if given is not None:
-            return given if given.exists() else None
-        if not can_record():
-            return None
-        from fullswarm.record.session import running
-
-        return next((Path(each.file) for each in running() if each.swarm == swarm), None)
-
     from fullswarm.launch.up import can_record
 
-    return find
+    if not can_record():
+        return lambda: None
+    from fullswarm.record.session import RecordingFinder
+
+    return RecordingFinder(target, given)
 
 
 def _recorded(file: Path) -> Callable[..., PageSource[Any]]:

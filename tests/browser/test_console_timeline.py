@@ -193,7 +193,7 @@ def test_an_operator_looks_back_and_can_still_stop_the_swarm(calm: Console, obse
         assert violations(calm.page) == []
     snap(calm.page, "timeline-past")
     calm.press(" ")
-    observer.until(observer.stand, 10.0, "they stop, though the page shows the past")
+    observer.until(observer.stand, 20.0, "they stop, though the page shows the past")
     assert not calm.state["time"]["live"]
     calm.named("time-live").click()
     expect(calm.named("past-banner")).to_be_hidden()
