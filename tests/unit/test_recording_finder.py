@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from fullswarm.config import DEFAULT_HUB
 from fullswarm.operator.session import Target
 from fullswarm.record import session
 from fullswarm.record.session import RecordingFinder, Running
@@ -14,9 +15,9 @@ from fullswarm.record.session import RecordingFinder, Running
 def test_it_is_that_of_the_same_swarm_at_the_same_hub(monkeypatch: pytest.MonkeyPatch) -> None:
     found = [
         Running(1, "swarm", "/other-hub.mcap", "tcp/127.0.0.1:7000"),
-        Running(2, "other", "/other-swarm.mcap", session.DEFAULT_HUB),
+        Running(2, "other", "/other-swarm.mcap", DEFAULT_HUB),
         Running(3, "swarm", "/of-an-older-version.mcap"),
-        Running(4, "swarm", "/mine.mcap", session.DEFAULT_HUB),
+        Running(4, "swarm", "/mine.mcap", DEFAULT_HUB),
     ]
     monkeypatch.setattr(session, "running", lambda: iter(found))
     assert RecordingFinder(Target(swarm="swarm", hub=None), None)() == Path("/mine.mcap")
