@@ -6,8 +6,9 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +18,7 @@ from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
+    from fullswarm.operator.console.server import PageSource
     from fullswarm.operator.console.tokens import Role
     from fullswarm.runtime import Scheduler
 
@@ -73,8 +75,13 @@ def console(
     insecure_network: Annotated[
         bool, typer.Option("--insecure-network", help="Listen beyond this machine: everyone on that network can drive.")
     ] = False,
+    recording: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mcap", help="Show a recording in place of a live swarm: any moment of it."),
+    ] = None,
     as_json: Json = False,
     study: Annotated[Path | None, typer.Option("--study", hidden=True)] = None,
+    recorded_to: Annotated[Path | None, typer.Option("--recorded-to", hidden=True)] = None,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> int:
     """Serve the web console: watch, drive and stop the swarm from a browser. Print the address to open."""
@@ -84,8 +91,10 @@ def console(
         return 0
     if (named or tokens) and (owner or token_file):
         raise ConfigError("--named and --tokens need neither --operator nor --token-file", where="console")
-    if (api or api_tokens) and study:
-        raise ConfigError("a study has no programs that act", where="--api", hint="leave --api out")
+    if (api or api_tokens) and (study or recording):
+        what = "a study has no programs that act" if study else "a recording has nothing for programs to read or drive"
+        raise ConfigError(what, where="--api", hint="leave --api out")
+    shown = None if recording is None else _recorded(recording)
     from fullswarm.drivers.make import makes
     from fullswarm.launch.liveness import report_alive
     from fullswarm.launch.web_console import open_browser
@@ -102,6 +111,7 @@ def console(
         insecure_network=insecure_network,
         study=study,
         api=api_tokens or (_tokens_file(of_programs=True) if api else None),
+        recording=_recording_of(target, recorded_to),
         icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},
     )
     with contextlib.ExitStack() as stack:
@@ -132,7 +142,7 @@ def console(
                 report_alive(scheduler)
 
         output.log_to_stderr(warnings_only=True)
-        return serve(target, options, on_start)
+        return serve(target, options, on_start, None if shown is None else partial(shown, icons=options.icons))
 
 
 @tokens_app.command()
@@ -215,6 +225,27 @@ def revoke(
 
     TokenFile(tokens or _tokens_file(of_programs=of_programs)).revoke(name)
     return 0
+
+
+def _recording_of(target: Target, given: Path | None) -> Callable[[], Path | None]:
+    """Return what finds the recording that is made of a swarm on this machine; `given`: that of `up --record`."""
+    from fullswarm.launch.up import can_record
+
+    if not can_record():
+        return lambda: None
+    from fullswarm.record.session import RecordingFinder
+
+    return RecordingFinder(target, given)
+
+
+def _recorded(file: Path) -> Callable[..., PageSource[Any]]:
+    """Return what shows a recording; `ConfigError` if it is none."""
+    from fullswarm.cli.record import check_extra
+
+    check_extra()
+    from fullswarm.record.playback import Playback, RecordedSwarm
+
+    return partial(Playback, file, recorded=RecordedSwarm(file))
 
 
 def _tokens_file(*, of_programs: bool = False) -> Path:

@@ -90,6 +90,41 @@ def repair(
     return 0
 
 
+@record_app.command()
+@shell_command()
+def clip(
+    file: File,
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="The new file; its ending says what it is: .mcap, .gif or .mp4.")
+    ],
+    from_: Annotated[
+        str, typer.Option("--from", metavar="TIME", help="Seconds from its beginning, or 2026-11-27T12:03:14.")
+    ] = "",
+    to: Annotated[str, typer.Option("--to", metavar="TIME", help="The same, for the end (default: its end).")] = "",
+    speed: Annotated[float, typer.Option(metavar="X", help="Of a film: seconds of the recording per second.")] = 1.0,
+    width: Annotated[int, typer.Option(metavar="PX", help="Of a film.")] = 720,
+    as_json: Json = False,
+) -> int:
+    """Write a part of a recording: as a recording of its own, or as a film from above."""
+    check_extra()
+    from fullswarm.record.clip import clip as run
+    from fullswarm.record.clip import range_of
+
+    if out.suffix.lower() in (".gif", ".mp4"):
+        from fullswarm.evaluate.pictures.recording import film
+
+        frames = film(file, out, range_of(file, from_, to), speed, width)
+        output.data_json({"file": str(out), "frames": frames}) if as_json else output.data(str(out))
+        return 0
+    found = run(file, out, range_of(file, from_, to))
+    if as_json:
+        output.data_json(_as_json(found))
+    else:
+        output.data(str(out))
+        output.progress(f"{found.messages} messages of {found.seconds:.1f} s, {found.bytes / 1e6:.1f} MB")
+    return 0
+
+
 def check_extra() -> None:
     """Raise `MissingExtra` where recordings can neither be written nor read."""
     import importlib.util

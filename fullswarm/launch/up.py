@@ -117,7 +117,8 @@ def run(
         if develop is not None:
             reload.watch(develop, runtime)
         if console:
-            WebConsole(supervisor, runtime, lambda address: progress(f"\nOpen {address}\n"), progress)
+            options = () if record is None else ("--recorded-to", str(record.absolute()))
+            WebConsole(supervisor, runtime, lambda address: progress(f"\nOpen {address}\n"), progress, options)
         if record is not None:
             add_recorder(supervisor, record)
         supervisor.start()

@@ -10,5 +10,8 @@
 ``live.py``        `viewer foxglove`: the process that serves it
 ``layout.py``      `viewer layout`: arena, charts, log and table for the robots of a fleet
 ``session.py``     `record start` and `record stop`: a recorder's process, and how others find it
+``decoding.py``    recorded messages as they were on the bus
+``playback.py``    `console --recording`: a recording through the console's nodes, for pages that look at it
+``clip.py``        `record clip`: a part of a recording as a recording
 ``reading.py``     what a file holds, and the repair of one that was cut off
 """

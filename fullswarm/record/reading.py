@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ def contents(path: Path) -> Contents:
     ConfigError
         It cannot be read, or is no MCAP file.
     """
-    found = Contents(path, _size(path))
+    found = Contents(path, size_of(path))
     channels: dict[int, Channel] = {}
     schemas: dict[int, SchemaRecord] = {}
     for record in records(path):
@@ -89,7 +89,7 @@ def repair(path: Path, out: Path) -> Contents:
     ConfigError
         `path` cannot be read or is no MCAP file, or `out` is there already or cannot be written.
     """
-    _size(path)
+    size_of(path)
     first = next(iter(records(path)), None)
     if first is None:
         raise ConfigError("nothing of it can be read", where=str(path))
@@ -131,13 +131,19 @@ def _copy(found: Iterator[Any], writer: Any) -> None:
             writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
 
 
-def records(path: Path) -> Iterator[Any]:
-    """Yield the records of a file up to its end, or to where it is damaged or cut off."""
+def records(path: Path, on_read: Callable[[int], None] = lambda _: None) -> Iterator[Any]:
+    """Yield the records of a file up to its end, or to where it is damaged or cut off.
+
+    Parameters
+    ----------
+    on_read : called before each record with the bytes of the file that have been read
+    """
     try:
         with path.open("rb") as stream:
             # Each chunk has a checksum: one that was written in part is not taken for whole.
             reader = StreamReader(stream, validate_crcs=True, record_size_limit=LONGEST_RECORD)
             for record in reader.records:
+                on_read(stream.tell())
                 if isinstance(record, Statistics):
                     continue
                 yield record
@@ -147,7 +153,16 @@ def records(path: Path) -> Iterator[Any]:
         return
 
 
-def _size(path: Path) -> int:
+def continued(path: Path) -> Iterator[Path]:
+    """Yield the files that continue a recording, such as ``run.2.mcap``."""
+    number = 2
+    while (file := path.with_name(f"{path.stem}.{number}{path.suffix}")).is_file():
+        yield file
+        number += 1
+
+
+def size_of(path: Path) -> int:
+    """Return the bytes of a file; raise `ConfigError` if it cannot be read or is no MCAP file."""
     try:
         with path.open("rb") as stream:
             if stream.read(8) != b"\x89MCAP0\r\n":

@@ -23,7 +23,7 @@ from fullswarm.journal.feed import Event, events
 from fullswarm.journal.journal import FORMAT, read_block
 from fullswarm.journal.naming import Difference, difference
 from fullswarm.launch.journals import code_hash, rebuild
-from fullswarm.record.reading import records
+from fullswarm.record.reading import continued, records
 from fullswarm.record.recorder import JOURNAL
 from fullswarm.record.recording import PROFILE
 
@@ -93,7 +93,7 @@ def recorded_in(paths: Sequence[Path]) -> Recorded:
     ConfigError
         A file cannot be read, is no recording, or none of them holds a journal.
     """
-    files = list(dict.fromkeys(each for path in paths for each in (path, *_continued(path))))
+    files = list(dict.fromkeys(each for path in paths for each in (path, *continued(path))))
     found = Recorded(files)
     for file in files:
         for record in records(file):
@@ -108,13 +108,6 @@ def recorded_in(paths: Sequence[Path]) -> Recorded:
             hint="record with `fullswarm up --record` or `fullswarm demo --record`",
         )  # fmt: skip
     return found
-
-
-def _continued(path: Path) -> Iterator[Path]:
-    number = 2
-    while (file := path.with_name(f"{path.stem}.{number}{path.suffix}")).is_file():
-        yield file
-        number += 1
 
 
 def _add(journals: dict[str, Blocks], data: bytes, file: Path) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import platform
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import IO
@@ -36,17 +37,19 @@ log = structlog.get_logger()
 NAME = "recorder"
 """Of its certificate, where the hub is secured; its role is ``observer``, which can send nothing."""
 MB = 1_000_000
+LOOK_S = 5.0
 HUB_UP_S = 60.0
 """A recorder that is started together with the hub waits for it so long."""
 
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A recording that runs on this computer: the process, the swarm, the file."""
+    """A recording that runs on this computer: the process, the swarm, the file, the hub."""
 
     pid: int
     swarm: str
     file: str
+    hub: str = ""
 
 
 def start(
@@ -97,7 +100,7 @@ def start(
         )
         if not with_parent:
             progress(f"recording swarm '{target.swarm}' to {path}; Ctrl-C or `fullswarm record stop` ends it")
-        found = Running(os.getpid(), target.swarm, str(path.absolute()))
+        found = Running(os.getpid(), target.swarm, str(path.absolute()), hub)
         with contextlib.nullcontext() if with_parent else _announced(found):  # that of `up` ends with `up`
             serve(runtime, [recorder], with_parent)
     finally:
@@ -138,6 +141,31 @@ def running() -> Iterator[Running]:
                 path.unlink(missing_ok=True)
 
 
+class RecordingFinder:
+    """Finds the recording that is made of a swarm on this computer.
+
+    Parameters
+    ----------
+    given : the file of `up --record`, which announces none
+    """
+
+    def __init__(self, target: Target, given: Path | None) -> None:
+        self._wanted = target.swarm, target.hub or DEFAULT_HUB  # swarms at different hubs may share a name
+        self._given, self._clock = given, MonotonicClock()
+        self._found: Path | None = None
+        self._looked_s = -math.inf
+
+    def __call__(self) -> Path | None:
+        """Return its file, as of `LOOK_S` ago at most; None: there is none."""
+        if self._given is not None:
+            return self._given if self._given.exists() else None
+        if self._clock.now_s() - self._looked_s >= LOOK_S:
+            self._looked_s = self._clock.now_s()
+            files = (Path(each.file) for each in running() if (each.swarm, each.hub) == self._wanted)
+            self._found = next(files, None)
+        return self._found
+
+
 @contextmanager
 def _announced(found: Running) -> Iterator[None]:
     """Have `running` find this recording while it lasts."""
@@ -159,7 +187,7 @@ def _announced(found: Running) -> Iterator[None]:
 
 
 def _write(file: IO[bytes], found: Running) -> None:
-    file.write(json.dumps({"pid": found.pid, "swarm": found.swarm, "file": found.file}).encode())
+    file.write(json.dumps(asdict(found)).encode())
     file.flush()
 
 

@@ -264,6 +264,30 @@ def test_a_flood_ends_the_line(folder: Path) -> None:
     run(folder, story)
 
 
+def test_a_flood_of_seeks_ends_the_line_and_the_other_page_looks_on(folder: Path) -> None:
+    async def story(served: Served) -> None:
+        async with served.page() as flooding, served.page("session-2") as other:
+            with contextlib.suppress(websockets.ConnectionClosed):
+                for number in range(1000):
+                    await flooding.send(json.dumps({"t": "look", "ref": number, "at": float(number)}))
+            for number in range(3):
+                await other.send(json.dumps({"t": "look", "ref": number, "at": 0.0}))
+                assert (await frame(other, "history"))["t"] == "history"
+                assert (await frame(other, "fleet"))["t"] == "fleet"  # what is live comes on
+            assert await closing(flooding) == console_server.TOO_MANY
+
+    run(folder, story)
+
+
+def test_a_clip_needs_the_key_of_its_page(folder: Path) -> None:
+    async def story(served: Served) -> None:
+        async with httpx.AsyncClient() as client:
+            for key in ("x", "..%2f..%2fetc%2fpasswd", "%00", "a" * 4000):
+                assert (await client.get(f"{served.origin}/clip/{key}")).status_code == 404
+
+    run(folder, story)
+
+
 def test_there_is_an_end_of_pages(folder: Path) -> None:
     async def story(served: Served) -> None:
         async with contextlib.AsyncExitStack() as stack:

@@ -82,7 +82,7 @@ def test_a_picture_and_a_film_come_out(folder: Path, tmp_path: Path, capfd: pyte
 
 def test_progress_is_told_every_other_second(capfd: pytest.CaptureFixture[str]) -> None:
     clock = SimClock()
-    teller = module._FrameProgress(clock)
+    teller = module.FrameProgress(clock)
     for number in range(1, 8):
         clock.advance_to(0.5 * number)
         teller(number, 7)

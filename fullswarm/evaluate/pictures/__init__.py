@@ -4,6 +4,7 @@
 ``scene.py``     the world from above at a moment, its colours, and a trial as one picture
 ``ink.py``       the dark parts of a picture as points
 ``film.py``      a trial as a video: GIF through pillow, MP4 (H.264) through ffmpeg
+``recording.py`` a part of a recording as a trajectory, for films
 ``timeline.py``  a trajectory at any time: poses between its samples, contacts, events so far
 """
 

@@ -62,12 +62,12 @@ def replay(wanted: Replay, clock: Clock | None = None) -> int:
             until_s=settings.until_s,
         )
     else:
-        write_film(trajectory, wanted.to, settings, _FrameProgress(clock or MonotonicClock()))
+        write_film(trajectory, wanted.to, settings, FrameProgress(clock or MonotonicClock()))
     output.data(str(wanted.to))
     return 0
 
 
-class _FrameProgress:
+class FrameProgress:
     """Prints on stderr how many frames are done."""
 
     def __init__(self, clock: Clock) -> None:
@@ -75,6 +75,7 @@ class _FrameProgress:
         self._printed_s = clock.now_s()
 
     def __call__(self, done: int, of: int) -> None:
+        """Print that `done` of `of` frames are made, unless that was printed just now."""
         now_s = self._clock.now_s()
         if now_s - self._printed_s >= PROGRESS_S or done == of:
             self._printed_s = now_s

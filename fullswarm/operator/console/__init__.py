@@ -14,6 +14,10 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``stops.py``     tracks e-stops and stops: which robots have confirmed
 ``missions.py``  tracks missions: the newest state of each
 ``cameras.py``   tracks the cameras that see the robots, and encodes their pictures
+``history.py``   keeps what pages were shown, in compressed segments
+``timeline.py``  lets pages look back: sends segments at a bounded rate
+``bookmarks.py`` moments with a name, kept beside a recording
+``clips.py``     makes clips in a process of its own, and keeps them for download
 ``study.py``     conducts a trial of a human-swarm study: phases, probes, questionnaire, log of the input
 
 The server knows no robots, and serves the runtime of the nodes on its own loop, without a further thread:
@@ -43,6 +47,7 @@ of ``index.html`` and a line in ``main.js``:
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers
 ``tools.js``      the tools of the map: goals, formations; ``pointer.js``: mouse, pen and fingers
+``past.js``       plays the past into the store that is shown; ``timeline.js``, ``marks.js``: the bar, its panel
 ``study.js``      the dialogs of a study: briefing, probes, NASA-TLX; tells the console what is clicked
 ``dom.js``        helpers for elements and events
 ``uplot.js``      vendored, see ``vendored.toml``

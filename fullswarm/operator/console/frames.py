@@ -121,11 +121,35 @@ class Watch(Frame, frozen=True, kw_only=True):
     on: bool
 
 
+class Look(Frame, frozen=True, kw_only=True):
+    """Look at a moment of the past: `at`, in seconds of the frames' clock."""
+
+    at: Annotated[float, Meta(ge=-1e12, le=1e12)]
+
+
+class Mark(Frame, frozen=True, kw_only=True):
+    """Name a moment of the past, or delete a bookmark by its id."""
+
+    op: Literal["add", "delete"]
+    at: Annotated[float, Meta(ge=-1e12, le=1e12)] = 0.0
+    name: Annotated[str, Meta(max_length=80)] = ""
+    id: Annotated[str, Meta(max_length=32)] = ""
+
+
+class Clip(Frame, frozen=True, kw_only=True):
+    """Have a part of the past made into a file."""
+
+    begin: Annotated[float, Meta(ge=-1e12, le=1e12)]
+    end: Annotated[float, Meta(ge=-1e12, le=1e12)]
+    kind: Literal["mcap", "gif", "mp4"]
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
 
-Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Ping
+Past = Look | Mark | Clip
+Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Ping
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):

@@ -31,13 +31,16 @@ from fullswarm.messages import (
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console import fleet, frames
 from fullswarm.operator.console.cameras import Cameras
+from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.fleet import CHART_NAMES, CHART_RATE_HZ, Charts
+from fullswarm.operator.console.history import History
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, for_page, named
 from fullswarm.operator.console.map import TRAIL_RATE_HZ, Coverage, Goals, HeldBack, Obstacles, Trails
 from fullswarm.operator.console.missions import MissionBoard
 from fullswarm.operator.console.sessions import ConsoleContext, Listener, OperatorSession
 from fullswarm.operator.console.stops import EStopTracker, StopTracker
 from fullswarm.operator.console.study import PLAN, StudyDesk, Swarm, TrialPlan, read_plan
+from fullswarm.operator.console.timeline import About, Timeline
 from fullswarm.operator.console.tokens import Role
 from fullswarm.operator.console.world import World
 from fullswarm.operator.missions import MissionClient
@@ -54,6 +57,7 @@ DESK_S, HOLD_S = 0.05, 0.5
 _log = structlog.get_logger()
 
 Made = dict[str, Any]
+StampedTrails = Callable[[], dict[str, list[list[float]]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +70,15 @@ class Identity:
     read_only: bool = False
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
     study: Path | None = None  # folder of a trial with its plan; None: no study
+    recording: Callable[[], Path | None] = lambda: None  # the recording that is made of the swarm now, on this machine
 
 
 class Gateway:
     """The console's node. A page enters by :meth:`join`, and gets all frames by its listener.
+
+    Parameters
+    ----------
+    new_history : makes the history of what pages are shown, given the present trails
 
     Attributes
     ----------
@@ -77,7 +86,13 @@ class Gateway:
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, scheduler: Scheduler, identity: Identity, wall_s: Callable[[], float]
+        self,
+        bus: Bus,
+        keys: Keys,
+        scheduler: Scheduler,
+        identity: Identity,
+        wall_s: Callable[[], float],
+        new_history: Callable[[StampedTrails], History] = History,
     ) -> None:
         self._keys, self._scheduler, self._identity = keys, scheduler, identity
         self._sessions: dict[str, OperatorSession] = {}
@@ -86,7 +101,12 @@ class Gateway:
         self._states_sent = self._opened = 0
         self._held = False  # the study holds the simulated world still
         self.undrawn: dict[str, int] = {}
+        self._trails, self._charts, self._goals = Trails(), Charts(), Goals()
         self.view = FleetView(bus, keys, scheduler)
+        self.timeline = Timeline(
+            new_history(self._trails.stamped), scheduler, scheduler.now_s, wall_s, self._send,
+            About(offered=identity.study is None, file=identity.recording),
+        )  # fmt: skip
         self._world = World(
             bus,
             keys,
@@ -97,13 +117,12 @@ class Gateway:
         )
         self._context = ConsoleContext(
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,
-            self._new_desk(bus, wall_s),
+            self._new_desk(bus, wall_s), self.timeline.handle,
         )  # fmt: skip
         self._desk = self._context.study
         self._log_entries = EventLog(wall_s, self._send_entry)
         self._requests = RequestLog(self._log_entries, self._world.expires)
         self._changes = ChangeLog(self._log_entries)
-        self._trails, self._charts, self._goals = Trails(), Charts(), Goals()
         self._coverage, self._obstacles, self._held_back = Coverage(), Obstacles(), HeldBack()
         self._estops, self._stops = EStopTracker(scheduler, self.view.present, self._name_of), StopTracker()
         self._leases, self._missions = Leases(leases=()), MissionBoard()
@@ -181,7 +200,12 @@ class Gateway:
     def leave(self, session: OperatorSession, listener: Listener) -> None:
         """Remove a page; its session is kept for a while, what it drove stops at once."""
         session.leave(listener)
+        self.timeline.leave(listener)
         self._left_s[session.key] = self._scheduler.now_s()
+
+    def download(self, key: str) -> Download | None:
+        """Return a clip by the key that its page got; None: there is none."""
+        return self.timeline.clips.download(key)
 
     def close(self) -> None:
         """Release all robots and unsubscribe."""
@@ -193,6 +217,7 @@ class Gateway:
             subscription.close()
         if self._desk is not None:
             self._desk.close()
+        self.timeline.close()
         self._world.close()
         self.view.close()
 
@@ -234,7 +259,7 @@ class Gateway:
             "fleet": lambda: fleet.fleet(self.view.snapshot(), now_s),
             "state": lambda: self._states_frame(now_s),
             "goals": self._goals_frame,
-            "leases": lambda: self._leases_frame(session),
+            "leases": lambda: self._leases_frame(session.name),
             "obstacles": self._obstacles.shown,
             "filter": lambda: self._held_back.shown(now_s),
             "coverage": self._coverage.shown,
@@ -242,6 +267,9 @@ class Gateway:
             "cameras": self._cameras.shown,
             "estop": self._estops.shown,
             "study": lambda: self._study_frame(session),
+            "events": self.timeline.events,
+            "timeline": self.timeline.shown,
+            "bookmarks": self.timeline.bookmarks,
         }
 
     def _hello(self, session: OperatorSession, now_s: float) -> Made:
@@ -274,23 +302,27 @@ class Gateway:
     def _goals_frame(self) -> Made:
         return {"t": "goals", "robots": self._goals.shown(self._world.orders())}
 
-    def _leases_frame(self, session: OperatorSession) -> Made:
+    def _leases_frame(self, reader: str) -> Made:
         leases = [
             {
                 "robot": lease.robot,
                 "operator": lease.operator,
                 "age_s": round(lease.age_s, 1),
                 "taken_from": lease.taken_from,
-                "mine": lease.operator == session.name,
+                "mine": lease.operator == reader,
             }
             for lease in self._leases.leases
         ]
         return {"t": "leases", "leases": leases}
 
     def _send(self, frame: Made) -> None:
-        """Send a frame to all pages, encoded once."""
-        if self._sessions:
+        """Send a frame to all pages, encoded once, and keep it in the history."""
+        now_s = self._scheduler.now_s()
+        kept = self.timeline.history.wants(frame["t"], now_s)
+        if self._sessions or kept:
             text = frames.encode(frame)
+            if kept:
+                self.timeline.history.add(frame["t"], text, now_s)
             for session in self._sessions.values():
                 for listener in tuple(session.listeners):
                     listener.put(frame["t"], text)
@@ -303,13 +335,14 @@ class Gateway:
                 session.send(frame["t"], frame)
 
     def _send_entry(self, entry: Entry) -> None:
+        self.timeline.add_entry(entry)
         self._send_each(lambda session: {"t": "log", "entry": entry.shown(session.name)})
 
     # ---------------------------------------------------------------- sent at a rate
     def _send_states(self) -> None:
         if self.view.states_received != self._states_sent:
             self._states_sent = self.view.states_received
-            if self._sessions:
+            if self._sessions or self.timeline.history.wants("state", self._scheduler.now_s()):
                 with self._drawing("state"):
                     self._send(self._states_frame(self._scheduler.now_s()))
 
@@ -345,7 +378,7 @@ class Gateway:
         now_s, seen = self._scheduler.now_s(), self.view.snapshot()
         with self._drawing("log"):
             self._changes.update(seen, now_s)
-        if self._sessions:
+        if self._sessions or self.timeline.history.wants("fleet", now_s):
             with self._drawing("fleet"):
                 self._send(fleet.fleet(seen, now_s))
 
@@ -357,6 +390,7 @@ class Gateway:
         with self._drawing("chart"):
             row = self._charts.add(self.view.snapshot().summaries, self._scheduler.now_s())
             if row is not None:
+                self.timeline.history.add_row(row)
                 self._send({"t": "chart", "row": row})
 
     def _send_map(self) -> None:
@@ -364,6 +398,9 @@ class Gateway:
         self._missions.expire(self._scheduler.now_s())
         self._obstacles.sweep(self._scheduler.now_s())
         self._cameras.expire(self._scheduler.now_s())
+        if self._sessions:
+            self._send(self.timeline.shown())
+            self.timeline.send_bookmarks()
         if self._obstacles.changed:
             self._obstacles.changed = False
             with self._drawing("obstacles"):
@@ -498,8 +535,10 @@ class Gateway:
     def _on_leases(self, leases: Leases) -> None:
         self._leases = leases
         with self._drawing("leases"):
-            if self._changes.leased(leases.leases, self._scheduler.now_s()):
-                self._send_each(self._leases_frame)
+            now_s = self._scheduler.now_s()
+            if self._changes.leased(leases.leases, now_s):
+                self._send_each(lambda session: self._leases_frame(session.name))
+                self.timeline.history.add("leases", frames.encode(self._leases_frame("")), now_s)
 
     def _on_mission(self, status: MissionStatus) -> None:
         now_s = self._scheduler.now_s()

@@ -49,6 +49,13 @@ class Trails:
             for robot, points in self._points.items()
         }
 
+    def stamped(self) -> dict[str, list[list[float]]]:
+        """Return robot → ``[at_s, x_m, y_m]``, the oldest first."""
+        return {
+            robot: [[round(at_s, 2), round(x_m, 2), round(y_m, 2)] for at_s, x_m, y_m in points]
+            for robot, points in self._points.items()
+        }
+
 
 REMEMBERED = 64
 _GOALS = ("goal", "centre")

@@ -18,7 +18,7 @@ import socket
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fullswarm import __version__, output
 from fullswarm.bus.base import OPERATOR, NamedBus
@@ -35,6 +35,9 @@ from fullswarm.runtime import Runtime, Scheduler
 
 if TYPE_CHECKING:
     import uvicorn
+
+    from fullswarm.operator.console.gateway import Gateway
+    from fullswarm.operator.console.server import PageSource
 import html
 import tempfile
 import webbrowser
@@ -65,10 +68,17 @@ class Options:
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
     study: Path | None = None  # folder of a trial of a study
     api: Path | None = None  # file with the tokens of programs; None: no interface for them
+    recording: Callable[[], Path | None] = lambda: None  # the recording that is made of the swarm now, on this machine
 
 
-def serve(target: Target, options: Options, on_start: OnStart) -> int:
+def serve(
+    target: Target, options: Options, on_start: OnStart, recording: Callable[[Scheduler], PageSource[Any]] | None = None
+) -> int:
     """Serve the console until Ctrl-C or SIGTERM; return the exit code.
+
+    Parameters
+    ----------
+    recording : makes what pages are connected to in place of a live swarm; None: the swarm of `target`
 
     Raises
     ------
@@ -94,7 +104,7 @@ def serve(target: Target, options: Options, on_start: OnStart) -> int:
     doorkeeper = Doorkeeper(token, wall_time_s, name=options.operator, file=file)
     keys = Keys(target.swarm)
     with contextlib.closing(bind(host, port, options.listen, ANOTHER)) as listener:
-        return asyncio.run(_serve(listener, host, (token, doorkeeper), keys, target, options, on_start))
+        return asyncio.run(_serve(listener, host, (token, doorkeeper), keys, target, options, on_start, recording))
 
 
 def parse_listen(text: str, insecure_network: bool) -> tuple[str, int]:
@@ -178,10 +188,10 @@ async def _serve(
     target: Target,
     options: Options,
     on_start: OnStart,
+    recording: Callable[[Scheduler], PageSource[Any]] | None,
 ) -> int:
     from fullswarm.operator.console.access import Names, lower, uvicorn_server
     from fullswarm.operator.console.api.server import Api
-    from fullswarm.operator.console.gateway import Gateway, Identity
     from fullswarm.operator.console.server import Pages, Web
 
     token, doorkeeper = access
@@ -189,28 +199,25 @@ async def _serve(
     runtime = Runtime(MonotonicClock())
     port = listener.getsockname()[1]
     failed: list[BaseException] = []
-    hub = target.hub or DEFAULT_HUB
-    credentials = credentials_at(hub, target.swarm, "console", "console")
-    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
-    renew_later(bus, runtime, keys, credentials)
-    try:
-        process = f"console@{socket.gethostname()}:{os.getpid()}"
-        identity = Identity(
-            socket.gethostname(), process, __version__, options.read_only, options.icons, options.study
-        )  # fmt: skip
-        gateway = Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
-        names = Names(host, port, lower(options.allow_hosts))
+    with contextlib.ExitStack() as stack:
 
         def fail(error: BaseException) -> None:
             failed.append(error)
             server.should_exit = True
 
+        process = f"console@{socket.gethostname()}:{os.getpid()}"
         runtime_loop = RuntimeLoop(runtime, loop, fail)
-        web = Web(gateway, doorkeeper, runtime.now_s, runtime_loop.wake)
+        shown: PageSource[Any]
         api = None
-        if options.api is not None:
-            tokens = Doorkeeper("", wall_time_s, file=TokenFile(options.api))
-            api = Api(gateway, tokens, runtime.now_s, runtime_loop.wake, process)
+        if recording is not None:
+            shown = recording(runtime)
+        else:
+            shown = gateway = _gateway(stack, runtime, keys, target, options, process)
+            if options.api is not None:
+                tokens = Doorkeeper("", wall_time_s, file=TokenFile(options.api))
+                api = Api(gateway, tokens, runtime.now_s, runtime_loop.wake, process)
+        names = Names(host, port, lower(options.allow_hosts))
+        web = Web(shown, doorkeeper, runtime.now_s, runtime_loop.wake)
         server = uvicorn_server(web.app(names, Pages(), *(() if api is None else (api.route(),))))
         ended_by = end_on_signals(loop, server)
         address = url(host, port, token, options.allow_hosts)
@@ -221,13 +228,28 @@ async def _serve(
         await server.serve([listener])
         if api is not None:
             api.close()
-        gateway.close()
+        shown.close()
         runtime_loop.close()
-    finally:
-        bus.close()
     if failed:
         raise failed[0]
     return output.INTERRUPTED if signal.SIGINT in ended_by else 0
+
+
+def _gateway(
+    stack: contextlib.ExitStack, runtime: Runtime, keys: Keys, target: Target, options: Options, process: str
+) -> Gateway:
+    """Return the gateway of a live swarm, whose bus the stack closes."""
+    from fullswarm.operator.console.gateway import Gateway, Identity
+
+    hub = target.hub or DEFAULT_HUB
+    credentials = credentials_at(hub, target.swarm, "console", "console")
+    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
+    stack.callback(bus.close)
+    renew_later(bus, runtime, keys, credentials)
+    identity = Identity(
+        socket.gethostname(), process, __version__, options.read_only, options.icons, options.study, options.recording
+    )  # fmt: skip
+    return Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
 
 
 def end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> list[int]:

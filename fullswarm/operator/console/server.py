@@ -9,20 +9,21 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from fullswarm.operator.console import frames
 from fullswarm.operator.console.access import Bucket, Guard, Names
+from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.frames import MAX_BYTES
-from fullswarm.operator.console.gateway import Gateway
-from fullswarm.operator.console.sessions import OperatorSession
-from fullswarm.operator.console.tokens import RENEW_S, Admitted, Doorkeeper
+from fullswarm.operator.console.sessions import Listener
+from fullswarm.operator.console.tokens import RENEW_S, Admitted, Doorkeeper, Role
 
 MOST_CLIENTS = 16
 HELLO_S = 3.0
@@ -35,6 +36,37 @@ STALLED_S = 5.0
 BAD_TOKEN, NO_HELLO, TOO_BIG, TOO_MANY, TOO_SLOW = 4401, 4408, 4413, 4429, 1013
 
 
+class PageSession(Protocol):
+    """Carries out the frames of a page."""
+
+    def handle(self, command: frames.Command, listener: Listener) -> frames.Answer:
+        """Carry out a frame that came by `listener`."""
+        ...
+
+
+S = TypeVar("S", bound=PageSession)
+
+
+class PageSource(Protocol[S]):
+    """What pages are connected to: the gateway of a live swarm, or a recording."""
+
+    def join(self, key: str, name: str, listener: Listener, *, named: bool = False, role: Role = "operator") -> S:
+        """Add a page; see :meth:`fullswarm.operator.console.gateway.Gateway.join`."""
+        ...
+
+    def leave(self, session: S, listener: Listener) -> None:
+        """Remove a page."""
+        ...
+
+    def download(self, key: str) -> Download | None:
+        """Return a file by the key that a page got; None: there is none."""
+        ...
+
+    def close(self) -> None:
+        """End all that it does for pages."""
+        ...
+
+
 @dataclass(slots=True)
 class Web:
     """Serves the pages: their files and their WebSockets.
@@ -45,7 +77,7 @@ class Web:
         Called after each command, because the nodes may have set timers.
     """
 
-    gateway: Gateway
+    gateway: PageSource[Any]
     doorkeeper: Doorkeeper
     now_s: Callable[[], float]
     wake: Callable[[], None]
@@ -58,10 +90,18 @@ class Web:
         routes = [
             Route("/", pages.serve),
             Route("/page/{name:path}", pages.serve),
+            Route("/clip/{key}", self.clip),
             WebSocketRoute("/ws", self.socket),
             *more,
         ]
         return Starlette(routes=routes, middleware=[Middleware(Guard, names=names)])
+
+    async def clip(self, request: Request) -> Response:
+        """Answer a request for a clip; its key is a secret that only the page has that asked for it."""
+        found = self.gateway.download(request.path_params["key"])
+        if found is None:
+            return PlainTextResponse("this clip is gone: make it again", 404)
+        return FileResponse(found.file, filename=found.name, headers={"Cache-Control": "no-store"})
 
     async def socket(self, websocket: WebSocket) -> None:
         """Serve one page until it is closed."""
@@ -122,7 +162,7 @@ class Web:
             if isinstance(result, Exception) and not isinstance(result, WebSocketDisconnect) and not ended:
                 raise result
 
-    async def _listen(self, websocket: WebSocket, session: OperatorSession, outbox: Outbox) -> None:
+    async def _listen(self, websocket: WebSocket, session: PageSession, outbox: Outbox) -> None:
         """Answer a page's frames until it is closed or exceeds a limit."""
         bucket = Bucket(RATE_HZ, BURST)
         while True:
@@ -229,6 +269,7 @@ class Pages:
 # ---------------------------------------------------------------- frames that wait
 NEWEST_WINS = frozenset(
     {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop", "study"}
+    | {"history", "timeline", "events", "bookmarks"}
 )
 """Frames that are complete: a page that was busy needs only the last one."""
 PICTURES = "picture "

@@ -70,8 +70,9 @@ class ConsoleContext:
     world: World
     present: Callable[[], Iterable[str]]  # robots that are present
     end_estops: Callable[[tuple[str, ...]], None]  # no session may repeat an e-stop that is released
-    read_only: bool = False
-    study: StudyDesk | None = None  # None: the operator takes part in no study
+    read_only: bool
+    study: StudyDesk | None  # None: the operator takes part in no study
+    look: Callable[[frames.Past, Listener, str], Answer]  # shows a page the past
 
 
 class OperatorSession:
@@ -133,10 +134,14 @@ class OperatorSession:
             return Answer(ref=ref)
         if isinstance(command, frames.Watch):
             return self._watch_cameras(ref, command.on, listener)
+        if isinstance(command, frames.Look):
+            return self._context.look(command, listener, self.name)
         if self._context.read_only:
             return Answer(ref=ref, ok=False, reason=READ_ONLY)
         if reason := refusal_of(self.role, clears=isinstance(command, frames.Clear), takes=_takes(command)):
             return Answer(ref=ref, ok=False, reason=reason)
+        if isinstance(command, frames.Mark | frames.Clip):
+            return self._context.look(command, listener, self.name)
         desk = self._context.study
         if isinstance(command, frames.Study):
             reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"

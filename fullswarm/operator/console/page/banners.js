@@ -23,6 +23,7 @@ export class Banners {
     setInterval(() => this.#check(), CHECK_MS);
     store.on("fleet", () => this.#check());
     store.on("lost", ({ robots, by }) => this.#lost(robots, by));
+    store.on("timeline", ({ recording }) => (this.#recording = Boolean(recording)));
     store.on("hello", ({ read_only }) => (byId("read-only").hidden = !read_only));
     commands.on("question", (question) => this.#ask(question));
     store.on("leases", () => this.#stillHeld());
@@ -38,6 +39,7 @@ export class Banners {
   #takeOver = /** @type {(() => void) | null} */ (null);
   #questioned = /** @type {string[]} */ ([]);
   #lostTimer = 0;
+  #recording = false;
   #toldTimer = 0;
 
   /**
@@ -54,7 +56,7 @@ export class Banners {
   #check() {
     const { level, text } = judgeLink({
       open: this.link.open, now_s: performance.now() / 1000, heard_s: this.link.heard_s, fleet_s: this.link.fleet_s,
-      hub: this.store.hub, core_age_s: this.store.core_age_s, refused: this.link.refused,
+      hub: this.store.hub, core_age_s: this.store.core_age_s, refused: this.link.refused, recording: this.#recording,
     });
     setText(byId("link-state"), text);
     setText(byId("link-words"), text);

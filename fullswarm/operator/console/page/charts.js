@@ -47,7 +47,8 @@ export class Charts {
     const which = this.theme.dark ? 1 : 0;
     this.plots = CHARTS.map((chart, k) => {
       const holder = /** @type {HTMLElement} */ (this.#box.querySelectorAll(".chart-plot")[k]);
-      return { chart, holder, plot: new uPlot(options(chart, holder, which), [[], []], holder) };
+      const here = () => (this.store.still ? "then" : "now");
+      return { chart, holder, plot: new uPlot(options(chart, holder, which, here), [[], []], holder) };
     });
     this.#draw();
   }
@@ -80,9 +81,10 @@ export class Charts {
  * @param {Chart} chart
  * @param {HTMLElement} holder
  * @param {number} which
+ * @param {() => string} here  what the newest time is called
  * @returns {uPlot.Options}
  */
-function options({ unit, colour }, holder, which) {
+function options({ unit, colour }, holder, which, here) {
   const ink = which ? "#C3CED8" : "#3C4854";
   const axis = {
     stroke: ink, font: "13px system-ui, sans-serif", grid: { stroke: which ? "#2A343E" : "#E2E6EA", width: 1 },
@@ -94,14 +96,17 @@ function options({ unit, colour }, holder, which) {
     scales: { x: { time: false }, y: { range: (_plot, low, high) => [0, high > low || high > 0 ? (high ?? 1) * 1.1 : 1] } },
     series: [{}, { stroke: colour[which], width: 2, fill: `${colour[which]}22`, points: { show: false } }],
     axes: [
-      { ...axis, size: 28, space: 56, incrs: STEPS_S, values: (_plot, ticks) => ticks.map(ago) },
+      { ...axis, size: 28, space: 56, incrs: STEPS_S, values: (_plot, ticks) => ticks.map((tick) => ago(tick, here())) },
       { ...axis, size: 54, space: 24, values: (_plot, ticks) => ticks.map((tick) => `${Number(tick.toPrecision(3))}${unit === "%" ? " %" : ""}`) },
     ],
   };
 }
 
-/** @param {number} time_s */
-function ago(time_s) {
-  if (time_s === 0) return "now";
+/**
+ * @param {number} time_s
+ * @param {string} here
+ */
+function ago(time_s, here) {
+  if (time_s === 0) return here;
   return time_s % 60 === 0 ? `${time_s / 60} min` : `${Math.round(time_s)} s`;
 }

@@ -28,6 +28,7 @@ export class Commands extends Emitter {
     this.link = link;
     this.store = store;
     this.goalBehaviour = "move_to_goal_bc";
+    this.withheld = ""; // why nothing but stops is sent now; empty: all is
     store.on("request", (status) => this.#onStatus(status));
     store.on("mission", (reply) => this.#onReply(reply));
   }
@@ -44,6 +45,7 @@ export class Commands extends Emitter {
    * @returns {Promise<Answer | void>}
    */
   async request(behaviour, robots, parameters = {}, terms = {}, take = false) {
+    if (this.withheld) return this.emit("refused", { behaviour, reason: this.withheld, robots });
     const addressed = robots.length ? robots : this.store.ids();
     const holders = this.store.heldByOthers(addressed);
     const again = () => this.request(behaviour, robots, parameters, terms, true);
@@ -125,6 +127,7 @@ export class Commands extends Emitter {
    * @param {boolean} [take]
    */
   async lease(robots, hold, take = false) {
+    if (this.withheld && hold) return this.emit("refused", { behaviour: "lease", reason: this.withheld });
     const answer = await this.link.ask({ t: "lease", robots, hold, take });
     if (!answer.ok) this.emit("refused", { behaviour: "lease", reason: answer.reason });
     return answer;
@@ -137,6 +140,7 @@ export class Commands extends Emitter {
    * @param {{track?: string, step?: string, take?: boolean}} [more]
    */
   async mission(mission, op, more = {}) {
+    if (this.withheld) return this.emit("refused", { behaviour: `${op} of ${mission.name}`, reason: this.withheld });
     const answer = await this.link.ask({ t: "mission", op, mission: mission.mission, ...more });
     const again = () => this.mission(mission, op, { ...more, take: true });
     if (answer.request_id) this.#remember(answer.request_id, again);

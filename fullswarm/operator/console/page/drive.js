@@ -54,6 +54,7 @@ export class Driver extends Emitter {
     if (this.held) return true;
     const robots = this.selection.list();
     if (!this.link.open) return this.#show("not driving: no link");
+    if (this.commands.withheld) return this.#show(`not driving: ${this.commands.withheld}`);
     if (this.store.hello?.read_only) return this.#show("not driving: this console is read-only");
     if (this.selection.absent) {
       this.#refused(NOT_REPORTED);

@@ -170,8 +170,8 @@ export class FleetTable {
    */
   #age(row, { age_s }) {
     const since_s = performance.now() / 1000 - (this.link.fleet_s ?? 0);
-    const known = typeof age_s === "number" && this.link.fleet_s !== null;
-    setText(row.age, known ? seconds(age_s + (since_s > OLD_S ? since_s : 0)) : "–");
+    const known = typeof age_s === "number" && (this.store.still || this.link.fleet_s !== null);
+    setText(row.age, known ? seconds(age_s + (since_s > OLD_S && !this.store.still ? since_s : 0)) : "–");
   }
 
   /**

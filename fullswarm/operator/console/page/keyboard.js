@@ -10,9 +10,10 @@ export class Keyboard {
    * @param {{map: import("./map.js").SwarmMap, tools: import("./tools.js").Tools,
    *   toolbar: import("./toolbar.js").Toolbar, theme: import("./theme.js").Theme,
    *   selection: import("./selection.js").Selection, stops: import("./stops.js").Stops,
-   *   arrows: import("./drive.js").ArrowDrive, help: () => void, debug: () => void, escape: () => void}} parts
+   *   arrows: import("./drive.js").ArrowDrive, past: import("./past.js").Past,
+   *   timeBar: import("./timeline.js").TimeBar, help: () => void, debug: () => void, escape: () => void}} parts
    */
-  constructor({ map, tools, toolbar, theme, selection, stops, arrows, help, debug, escape }) {
+  constructor({ map, tools, toolbar, theme, selection, stops, arrows, past, timeBar, help, debug, escape }) {
     this.map = map;
     this.tools = tools;
     this.selection = selection;
@@ -25,6 +26,8 @@ export class Keyboard {
       b: () => byId("behaviour-search").focus(),
       "+": () => toolbar.zoom(1.3), "=": () => toolbar.zoom(1.3), "-": () => toolbar.zoom(1 / 1.3),
       "[": () => selection.stepRobot(-1), "]": () => selection.stepRobot(1),
+      p: () => timeBar.play(), l: () => past.toLive(), ",": () => past.step(-1), ".": () => past.step(1),
+      j: () => timeBar.event(-1), k: () => timeBar.event(1),
       "?": help, "`": debug, Escape: escape,
     };
     addEventListener("keydown", (event) => this.#down(event), { capture: true });

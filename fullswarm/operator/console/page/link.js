@@ -174,7 +174,7 @@ export const OLD_S = 1.0;
 
 /**
  * @typedef {{open: boolean, now_s: number, heard_s: number | null, fleet_s: number | null, hub: boolean,
- *   core_age_s: number | null, refused: string}} LinkFacts
+ *   core_age_s: number | null, refused: string, recording?: boolean}} LinkFacts
  *   heard_s: arrival of the newest message; fleet_s: of the newest "fleet"; core_age_s: as that one reports
  */
 
@@ -183,8 +183,9 @@ export const OLD_S = 1.0;
  * @param {LinkFacts} facts
  * @returns {{level: "live" | "old" | "core" | "hub" | "refused" | "start", text: string}}
  */
-export function judgeLink({ open, now_s, heard_s, fleet_s, hub, core_age_s, refused }) {
+export function judgeLink({ open, now_s, heard_s, fleet_s, hub, core_age_s, refused, recording = false }) {
   if (refused) return { level: "refused", text: refused };
+  if (recording && open && heard_s !== null && now_s - heard_s <= STALLED_S) return { level: "live", text: "recording" };
   if (heard_s === null || fleet_s === null) return { level: "start", text: open ? "no data yet" : "connecting" };
   const age_s = now_s - heard_s;
   if (!open || age_s > OLD_S) return { level: "old", text: `no data for ${seconds(age_s)}` };

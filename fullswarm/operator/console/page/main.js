@@ -8,6 +8,11 @@
  *           camera.js, banners.js, study.js (the dialogs of a study)
  * map       map.js (the loop), ground.js (below the robots), robots.js, sprites.js, tools.js, pointer.js, toolbar.js,
  *           viewport.js, geometry.js, palette.js, theme.js
+ * time      past.js (plays the past into the store that is shown), timeline.js (the bar below the map),
+ *           marks.js (bookmarks, clips)
+ *
+ * There are two stores. `store` holds what is shown, now or in the past: map, fleet, charts, log, missions. `present` holds what
+ * is now, always: stops, driving, requests and the link read that one.
  */
 
 import { Banners } from "./banners.js";
@@ -22,47 +27,69 @@ import { Legend } from "./legend.js";
 import { identity, Link } from "./link.js";
 import { LogView } from "./log.js";
 import { SwarmMap } from "./map.js";
+import { Marks } from "./marks.js";
 import { Missions } from "./missions.js";
 import { Panel } from "./panel.js";
+import { Past } from "./past.js";
 import { Pointer } from "./pointer.js";
 import { Selection } from "./selection.js";
 import { Stops } from "./stops.js";
 import { Store } from "./store.js";
 import { Study } from "./study.js";
 import { Theme } from "./theme.js";
+import { TimeBar } from "./timeline.js";
 import { Toolbar } from "./toolbar.js";
 import { Tools } from "./tools.js";
 
+const FIT_MS = 200;
+
 const store = new Store();
+const present = new Store();
 const link = new Link(identity());
+const past = new Past({ store, present, link });
 const selection = new Selection(store);
-const commands = new Commands(link, store);
+const commands = new Commands(link, present);
 const theme = new Theme(byId("theme"));
 const ground = /** @type {HTMLCanvasElement} */ (byId("map-ground"));
 const live = /** @type {HTMLCanvasElement} */ (byId("map"));
 const map = new SwarmMap({ ground, live, store, selection, theme });
-const banners = new Banners({ link, store, commands, map });
+const banners = new Banners({ link, store: present, commands, map });
 const tools = new Tools({ store, selection, commands, hint: (words) => banners.hint(words) });
 map.tool = tools;
 const toolbar = new Toolbar({ map, tools, commands, store });
-const stops = new Stops(store, commands);
-const driver = new Driver({ link, store, selection, commands });
+const stops = new Stops(present, commands);
+const driver = new Driver({ link, store: present, selection, commands });
 const arrows = new ArrowDrive(driver);
 const pad = new Pad(driver, selection, () => stops.estop());
 new Pointer(map, tools);
-new Panel({ store, selection, commands, tools });
+new Panel({ store: present, selection, commands, tools });
 new GroupBar(store, selection);
 new FleetTable({ store, selection, commands, link });
 new Legend(store);
 new Charts(store, theme);
 new LogView(store);
 new Missions({ store, commands });
-new CameraView({ store, link });
-new Study({ store, link, selection, map, tools });
+new CameraView({ store: present, link });
+new Study({ store: present, link, selection, map, tools });
+const timeBar = new TimeBar({ past, present, commands });
+new Marks({ past, present, link, bar: timeBar });
 tabs();
 
-link.on("message", (message) => store.apply(message));
-store.on("hello", ({ swarm, operator }) => {
+link.on("message", (message) => {
+  if (past.live) store.apply(message);
+  present.apply(message);
+});
+past.on("mode", (live) => {
+  if (!live) releaseDriving();
+  if (!live && tools.mode !== "select") tools.use("select");
+});
+let placed = false;
+past.on("change", () => {
+  if (placed || !past.recording || !past.ready) return;
+  placed = true;
+  setTimeout(() => map.fit(), FIT_MS); // a recording may name no arena: when its robots are drawn
+});
+present.on("hello", ({ swarm, operator }) => {
   setText(byId("swarm"), swarm);
   setText(byId("operator"), operator);
   document.title = `${swarm} · fullswarm`;
@@ -109,7 +136,7 @@ setInterval(() => {
   setText(byId("debug"), `${fps} frames/s · work ${frame_ms_p95} ms · interval ${interval_ms_p95} ms (p95)`);
 }, 500);
 
-new Keyboard({ map, tools, toolbar, theme, selection, stops, arrows, help: () => toggleHelp(), debug, escape });
+new Keyboard({ map, tools, toolbar, theme, selection, stops, arrows, past, timeBar, help: () => toggleHelp(), debug, escape });
 
 /** For tests: copies, nothing that could be changed. */
 window.fullswarm = Object.freeze({
@@ -120,9 +147,11 @@ window.fullswarm = Object.freeze({
     return {
       robots, docks: structuredClone(store.docks), selection: selection.list(),
       goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
-      operator: store.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: store.charts.length,
+      operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: store.charts.length, log: store.log.length,
+      time: { live: past.live, at_s: past.live ? map.drawn_s : past.at_s, from_s: past.from_s, to_s: past.to_s, ready: past.ready, playing: past.playing },
     };
   },
+  look: (/** @type {number} */ at_s) => past.look(at_s),
   toScreen: (/** @type {number} */ x_m, /** @type {number} */ y_m) => map.toPage(x_m, y_m),
   stats: map.stats,
 });

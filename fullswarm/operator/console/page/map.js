@@ -32,6 +32,7 @@ export class SwarmMap {
     this.tool = /** @type {import("./tools.js").Tools | null} */ (null);
     this.hovered = /** @type {string | null} */ (null);
     this.old = false; // data is old: veiled
+    this.drawn_s = 0; // the time at which `placed` is
     this.placed = /** @type {import("./robots.js").Placed[]} */ ([]);
     this.#ground = context2d(ground, { alpha: false });
     this.#live = context2d(live);
@@ -62,9 +63,10 @@ export class SwarmMap {
     if (all) this.#floorStale = true;
   }
 
-  /** Show the arena, or the robots if there is none. */
+  /** Show the arena, or the robots and what they have detected if there is none. */
   fit() {
-    const box = this.store.arena ?? bounds(this.placed.map(({ x, y }) => [x, y]));
+    const seen = /** @type {import("./types.d.ts").Point[]} */ (this.store.obstacles.map(([x, y]) => [x, y]));
+    const box = this.store.arena ?? bounds([...this.placed.map(({ x, y }) => /** @type {[number, number]} */ ([x, y])), ...seen]);
     if (box && this.view.width > 1) this.view.fit(box);
     this.#fit = this.#shown();
     this.touch(true);
@@ -160,7 +162,8 @@ export class SwarmMap {
     const { context, colours } = scene;
     context.setTransform(this.#dpr, 0, 0, this.#dpr, 0, 0);
     context.clearRect(0, 0, this.view.width, this.view.height);
-    this.placed = placeRobots(this.store, this.view, this.store.clock.drawn(performance.now() / 1000));
+    this.drawn_s = this.store.clock.drawn(performance.now() / 1000);
+    this.placed = placeRobots(this.store, this.view, this.drawn_s);
     drawGoals(scene, this.placed);
     drawRobots(scene, this.placed, this.selection, this.hovered);
     if (this.old) {

@@ -5,7 +5,7 @@ import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
-/** @import { Behaviour, Box, Camera, ChartRow, Coverage, Dock, Entry, Estop, Fleet, Goal, Hello, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, World } from "./types.d.ts" */
+/** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, TimeEvent, TimelineFrame, World } from "./types.d.ts" */
 
 const LOG_KEPT = 500;
 const CHART_KEPT = 1200;
@@ -13,12 +13,14 @@ const CHART_KEPT = 1200;
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
  * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study,
- * cameras, picture.
+ * cameras, picture; timeline, history, events (all), event, bookmarks, clip.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
  *   goals: Store["goals"], docks: Dock[], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
  *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study,
- *   cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string}}>}
+ *   cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string},
+ *   timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
+ *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame}>}
  */
 export class Store extends Emitter {
   constructor() {
@@ -32,8 +34,9 @@ export class Store extends Emitter {
     this.groups = /** @type {Record<string, string[]>} */ ({});
     this.looks = new Looks();
     this.tracks = /** @type {Map<string, Track>} */ (new Map());
-    this.clock = new ServerClock();
+    this.clock = /** @type {{update: (at_s: number, now_s: number) => void, drawn: (now_s: number) => number}} */ (new ServerClock());
     this.at_s = 0;
+    this.still = false; // it holds a moment of the past
     this.fleet = /** @type {Map<string, Robot>} */ (new Map());
     this.hub = true;
     this.core_age_s = /** @type {number | null} */ (null);
@@ -138,7 +141,53 @@ export class Store extends Emitter {
     study: (message) => this.emit("study", message),
     cameras: ({ cameras }) => this.emit("cameras", cameras),
     picture: (message) => this.emit("picture", message),
+    timeline: (message) => this.emit("timeline", message),
+    history: (message) => this.emit("history", message),
+    events: ({ events }) => this.emit("events", events),
+    event: ({ event }) => this.emit("event", event),
+    bookmarks: (message) => this.emit("bookmarks", message),
+    clip: (message) => this.emit("clip", message),
   });
+
+  /**
+   * Go to another time: robots, charts and log are those of then. What else there was follows as messages.
+   * @param {{tracks: Map<string, Track>, charts: ChartRow[], log: Entry[], at_s: number}} then
+   */
+  rewind({ tracks, charts, log, at_s }) {
+    Object.assign(this, { tracks, charts, log, at_s, pending: null, filter: new Map(), goals: new Map(), coverage: null, obstacles: [] });
+    this.#emitAll();
+  }
+
+  /**
+   * Show what another store holds, from now on by itself.
+   * @param {Store} other
+   */
+  adopt(other) {
+    const tracks = new Map([...other.tracks].map(([id, track]) => [id, track.copy()]));
+    const { arena, boxes, behaviours, groups, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles } = other;
+    const { hub, core_age_s, nodes, missing, docks, leases, missions, clock } = other;
+    Object.assign(this, {
+      arena, boxes, behaviours, groups, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles, hub,
+      core_age_s, nodes, missing, docks, leases, missions, clock, tracks, fleet: new Map(other.fleet),
+      charts: [...other.charts], log: [...other.log], pending: null,
+    });
+    this.#emitAll();
+    this.emit("docks", this.docks);
+    this.emit("leases", this.leases);
+    this.emit("missions", this.missions);
+  }
+
+  #emitAll() {
+    this.emit("world", { t: "world" });
+    this.emit("robots", null);
+    this.emit("states", null);
+    this.emit("coverage", this.coverage);
+    this.emit("obstacles", this.obstacles);
+    this.emit("goals", this.goals);
+    this.emit("filter", this.filter);
+    this.emit("charts", null);
+    this.emit("log", null);
+  }
 
   /**
    * @template {"filter" | "goals" | "coverage" | "obstacles" | "estop" | "stop" | "leases" | "missions" | "docks"} T

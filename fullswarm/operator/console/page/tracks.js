@@ -80,6 +80,13 @@ export class Track {
     return states.length ? states[0].slice(1) : null;
   }
 
+  /** Return the same, to go on by itself. */
+  copy() {
+    const copy = new Track();
+    [copy.states, copy.trail] = [[...this.states], [...this.trail]];
+    return copy;
+  }
+
   /**
    * Put a trail of an earlier time before what is known; it is stamped backwards from `before_s`.
    * @param {Point[]} points

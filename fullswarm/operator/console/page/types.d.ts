@@ -80,6 +80,7 @@ export interface Hello extends World {
 }
 
 export interface Entry {
+  at: number;
   clock: string;
   kind: string;
   text: string;
@@ -267,6 +268,49 @@ export interface Study {
   reason: string;
 }
 
+export interface TimeEvent {
+  at: number;
+  kind: string;
+  text: string;
+}
+
+export interface TimelineFrame {
+  t: "timeline";
+  at: number; // the present, on the clock of all frames
+  clock_s: number; // the same as seconds of the day at the console
+  from: number;
+  to: number;
+  recording: string; // its name; empty: a live session
+  offered: boolean; // whether pages may look back
+  read: number | null; // share of a recording that is read so far; null: all
+}
+
+export interface Bookmark {
+  id: string;
+  at: number;
+  name: string;
+  by: string;
+}
+
+export interface ClipFrame {
+  t: "clip";
+  state: "running" | "done" | "failed";
+  words: string;
+  url: string;
+  name: string;
+}
+
+/** A part of the past. Its first frames are the newest of each kind when it began. */
+export interface History {
+  t: "history";
+  from: number;
+  to: number;
+  open: boolean; // it still grows
+  charts: ChartRow[];
+  log: Entry[];
+  frames: [at_s: number, frame: Message | { t: "trails"; robots: Record<string, number[][]> }][];
+}
+
 export type Message =
   | Hello
   | (World & { t: "world" })
@@ -287,6 +331,12 @@ export type Message =
   | Study
   | { t: "cameras"; cameras: Camera[] }
   | { t: "picture"; camera: string; jpeg: string }
+  | TimelineFrame
+  | History
+  | { t: "events"; events: TimeEvent[] }
+  | { t: "event"; event: TimeEvent }
+  | { t: "bookmarks"; bookmarks: Bookmark[]; clips: string } // clips: why there can be none now; empty: there can
+  | ClipFrame
   | Lost;
 
 declare global {
