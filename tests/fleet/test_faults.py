@@ -132,8 +132,8 @@ def campaign(fleet: Fleet) -> Iterator[Campaign]:
     fleet.lab.heal()
 
 
-def test_25_faults(campaign: Campaign) -> None:
-    _meet(campaign, 25, seed=1)
+def test_10_faults(campaign: Campaign) -> None:
+    _meet(campaign, 10, seed=1)
 
 
 @pytest.mark.slow

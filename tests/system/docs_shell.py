@@ -19,6 +19,7 @@ import shutil
 import signal
 import subprocess
 import sysconfig
+import textwrap
 import venv
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,9 +31,8 @@ from tests.waiting import until
 
 ROOT = Path(__file__).parents[2]
 SHELLS = {"", "sh", "bash", "console"}
-PROGRAMS = (
-    r"fullswarm|python|p?kill|cd|export|mv|cp|echo|printf|pip|make|docker|sudo|ssh[a-z-]*|unshare|rerun|apt|ros\w+"
-)
+OTHERS = r"p?kill|cd|export|mv|cp|echo|printf|make|docker|sudo|ssh[a-z-]*|unshare|apt|curl|node"
+PROGRAMS = rf"fullswarm|python|pip|rerun|ros\w+|{OTHERS}"
 OURS = re.compile(rf"(\w+=\S+ )*({PROGRAMS}) ")
 MARK = re.compile(r"<!-- (not run|before|file|last line of)(?: \[(.*?)\])?: (.*?) -->")
 ENDLESS = re.compile(
@@ -88,10 +88,10 @@ class Page:
 
 def commands(text: str, first_line: int) -> list[Step]:
     """Return the commands of a block: lines with a prompt, or all that begin with a program that pages use."""
-    prompts = any(line.startswith("$ ") for line in text.splitlines())
+    prompts = any(line.lstrip().startswith("$ ") for line in text.splitlines())
     steps: list[Step] = []
     joined, began = "", first_line
-    for row, line in enumerate(text.splitlines(), first_line):
+    for row, line in enumerate(textwrap.dedent(text).splitlines(), first_line):
         joined, began = (joined + line.strip(), began) if joined else (line, row)
         if joined.endswith("\\"):
             joined = joined[:-1]

@@ -15,7 +15,6 @@ PAGES = [
 ]
 
 
-@pytest.mark.alone
 @pytest.mark.skipif(not available(), reason="needs namespaces of processes and networks")
 @pytest.mark.parametrize("page", [page for page in PAGES if page.runs], ids=lambda page: Path(page.name).stem)
 def test_the_commands_of_a_page_run(page: Page, tmp_path: Path) -> None:

@@ -23,8 +23,8 @@ SMALL = 50
 STORM = 350
 MOST = 300
 """Entries of one container: twice what else is bounded at 64, 128 or 256, and what belongs to the swarm."""
-LARGER = ("_union", "cells", "grid", "_marks")
-"""Grids of the arena: of the size that the first measurement states."""
+LARGER = ("_union", "cells", "grid", "_marks", "history.entries")
+"""Grids of the arena: of the size that the first measurement states; the console's log, of 5,000 lines."""
 PLAIN = (str, bytes, int, float, bool, type(None), type, ModuleType, np.random.Generator)
 
 

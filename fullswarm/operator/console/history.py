@@ -88,16 +88,16 @@ class _Open:
     def __init__(self, from_s: float) -> None:
         self.from_s, self.length = from_s, 0
         self._packer = zlib.compressobj(1)
-        self._parts: list[bytes] = []
+        self._packed = bytearray()
 
     def add(self, at_s: float, text: str) -> None:
         line = f"{',' if self.length else ''}[{at_s:.3f},{text}]".encode()
         self.length += len(line)
-        self._parts.append(self._packer.compress(line))
+        self._packed += self._packer.compress(line)
 
     def packed(self) -> bytes:
         """Return what it holds so far; it stays open."""
-        return b"".join((*self._parts, self._packer.copy().flush()))
+        return bytes(self._packed) + self._packer.copy().flush()
 
 
 @dataclass(frozen=True, slots=True)
