@@ -37,7 +37,8 @@ OURS = re.compile(rf"(\w+=\S+ )*({PROGRAMS}) ")
 MARK = re.compile(r"<!-- (not run|before|file|last line of)(?: \[(.*?)\])?: (.*?) -->")
 ENDLESS = re.compile(
     r"fullswarm (up|console(?! tokens)|watch|demo(?!.*--(lockstep|seconds|headless))|viewer foxglove|metrics|joystick"
-    r"|emulate|fixes( play|$)|record start|track(?! (init|sheets|calibrate)|.*--video)|mcp|ros bridge)\b|.* -f\b"
+    r"|emulate|fixes( play|$)|record start|track(?! (init|sheets|calibrate)|.*--video)|mcp|ros bridge"
+    r"|drive(?!.*--seconds))\b|fullswarm .* -f\b"
 )
 SWARMS = re.compile(r"fullswarm (up|demo)\b")
 LIMIT_S = 300.0
@@ -202,7 +203,7 @@ class Shell:
         _, output = self._send(f"{command} >{log} 2>&1 </dev/null & echo job $!")
         job = int(output.split("job ")[1].split()[0])
         self._endless.append((step, job, log))
-        until(lambda: _speaks(log) or self._over(job), LIMIT_S, f"output of {command}")
+        until(lambda: _speaks(log) or self._over(job), LIMIT_S, f"output of {command}", each=_rest)
         if SWARMS.match(command):
             until(lambda: self._send("fullswarm status")[0] == 0 or self._over(job), LIMIT_S, lambda: log.read_text())
         if self._over(job):
@@ -230,6 +231,10 @@ class Shell:
         )
         text, _, code = output().rpartition(mark)
         return int(code.split()[0]), text
+
+
+def _rest() -> None:
+    """Nothing: to be called between two looks makes them rarer, and leaves the processor to the commands."""
 
 
 def _speaks(log: Path) -> bool:

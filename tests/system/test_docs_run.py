@@ -14,9 +14,22 @@ PAGES = [
     if not path.name.startswith("reference-")  # those list all; the blocks of the others are for doing
 ]
 
+QUICK = {
+    "behaviours", "how-to-audit", "how-to-bring-your-world", "how-to-camera", "how-to-charging",
+    "how-to-connect-a-robot", "how-to-install", "how-to-look-back", "how-to-outside-controllers", "how-to-ranges", "how-to-run-a-study",
+    "how-to-use-from-python", "tutorial-first-recording",
+}  # fmt: skip
+"""Pages of less than half a minute; the others together take ten minutes, and are run by `make test-all`."""
+
 
 @pytest.mark.skipif(not available(), reason="needs namespaces of processes and networks")
-@pytest.mark.parametrize("page", [page for page in PAGES if page.runs], ids=lambda page: Path(page.name).stem)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=Path(page.name).stem, marks=() if Path(page.name).stem in QUICK else pytest.mark.slow)
+        for page in PAGES if page.runs
+    ],
+)  # fmt: skip
 def test_the_commands_of_a_page_run(page: Page, tmp_path: Path) -> None:
     shell = Shell(tmp_path)
     try:
