@@ -16,8 +16,8 @@ PAGES = [
 
 QUICK = {
     "behaviours", "how-to-audit", "how-to-bring-your-world", "how-to-camera", "how-to-charging",
-    "how-to-connect-a-robot", "how-to-install", "how-to-look-back", "how-to-outside-controllers", "how-to-ranges", "how-to-run-a-study",
-    "how-to-use-from-python", "tutorial-first-recording",
+    "how-to-connect-a-robot", "how-to-install", "how-to-look-back", "how-to-outside-controllers", "how-to-ranges",
+    "how-to-run-a-study", "how-to-use-from-python", "tutorial-first-recording",
 }  # fmt: skip
 """Pages of less than half a minute; the others together take ten minutes, and are run by `make test-all`."""
 
