@@ -145,3 +145,15 @@ class EStopOrder:
         self.close()
         if self._on_done is not None:
             self._on_done(self)
+
+
+def end_released(orders: Iterable[EStopOrder], robots: tuple[str, ...]) -> list[EStopOrder]:
+    """Close the e-stops that concern `robots` (none: all), which are released; return the orders that go on."""
+    kept = []
+    for order in orders:
+        theirs = order.message.robots
+        if order.message.engaged and (not robots or not theirs or not set(theirs).isdisjoint(robots)):
+            order.close()
+        else:
+            kept.append(order)
+    return kept

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from fullswarm.clock import SimClock
 from fullswarm.errors import Unreachable
 from fullswarm.messages import BehaviourRequest, EStop, EStopReceipt, RequestStatus
 from fullswarm.operator import session
-from fullswarm.operator.estop import EStopOrder
+from fullswarm.operator.estop import EStopOrder, end_released
 from fullswarm.operator.session import Session, Target
 from fullswarm.runtime import Runtime
 from tests.unit.test_cli_swarm import FakeSwarm, run
@@ -222,3 +223,25 @@ def test_another_requests_status_adds_no_robot(swarm: Fleet) -> None:
     swarm._wake = stray  # type: ignore[method-assign]  # the same moment, another act
     swarm.wakes_at_s = 0.2
     assert run("estop").exit_code == 0
+
+
+def test_a_release_ends_the_estops_of_its_robots_and_no_other() -> None:
+    runtime = Runtime(SimClock())
+    sent: list[str] = []
+
+    def order(robot: str) -> EStopOrder:
+        started = EStopOrder(
+            EStop(id=robot, engaged=True, robots=(robot,)), send=lambda: sent.append(robot), scheduler=runtime,
+            known=lambda: [robot], deadline_s=math.inf,
+        )  # fmt: skip
+        started.start()
+        return started
+
+    left = end_released([order("r1"), order("r2")], ("r2",))
+    sent.clear()
+    runtime.run(1.0)
+    assert set(sent) == {"r1"}  # which is silent, and must find it when it is back
+    assert end_released(left, ("r1",)) == []
+    sent.clear()
+    runtime.run(1.0)
+    assert sent == []

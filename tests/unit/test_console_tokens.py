@@ -45,7 +45,7 @@ def admitted(keeper: Doorkeeper, token: str) -> Admitted:
 def test_one_token_for_all_and_a_pass_for_it(wall: Wall) -> None:
     keeper = Doorkeeper(OWN, wall)
     page = admitted(keeper, OWN)
-    assert (page.name, page.observer) == ("", False)
+    assert (page.name, page.role) == ("", "operator")
     for wrong in ("", OWN[:-1], OWN + "x", OWN.upper(), "é", "pass.", f"pass.{int(NOW_S) + 10}.{'0' * 64}"):
         assert keeper.admit(wrong) is None
     given = keeper.issue(page)
@@ -71,9 +71,9 @@ def test_name_is_in_the_token_and_its_file_has_none_of_them(wall: Wall, file: To
     assert stat.S_IMODE(file.path.stat().st_mode) == 0o600
     keeper = Doorkeeper("", wall, file=file)
     assert keeper.admit("") is None
-    for token, name, observer in ((anna, "anna", False), (ben, "ben@lab", True)):
+    for token, name, role in ((anna, "anna", "operator"), (ben, "ben@lab", "observer")):
         page = admitted(keeper, token)
-        assert (page.name, page.observer) == (name, observer)
+        assert (page.name, page.role) == (name, role)
         assert keeper.admit(keeper.issue(page)) == page
 
 

@@ -19,7 +19,7 @@ from fullswarm.operator.console.log import for_page
 from fullswarm.operator.console.study import StudyDesk
 from fullswarm.operator.console.tokens import Role
 from fullswarm.operator.console.world import World
-from fullswarm.operator.estop import EStopOrder
+from fullswarm.operator.estop import EStopOrder, end_released
 from fullswarm.operator.leases import LeaseHolder
 from fullswarm.operator.missions import MissionClient
 from fullswarm.operator.teleop import Teleop
@@ -244,11 +244,7 @@ class OperatorSession:
 
     def end_estops(self, robots: tuple[str, ...]) -> None:
         """Stop repeating e-stops that concern `robots` (none: all): another operator has released them."""
-        for order in self._estops:
-            theirs = order.message.robots
-            if order.message.engaged and (not robots or not theirs or not set(theirs).isdisjoint(robots)):
-                order.close()
-        self._estops = [each for each in self._estops if not each.message.engaged]
+        self._estops = end_released(self._estops, robots)
 
     def stopped(self, robots: tuple[str, ...]) -> None:
         """Note that `robots` (none: all) were stopped: driving one again needs the dead-man released first."""

@@ -162,11 +162,6 @@ class Admitted:
     role: Role
     key: str
 
-    @property
-    def observer(self) -> bool:
-        """Whether the page shows everything and sends nothing."""
-        return self.role == "observer"
-
 
 class Doorkeeper:
     """Decides which pages may enter.

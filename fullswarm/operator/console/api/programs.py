@@ -12,7 +12,7 @@ from fullswarm.operator.client import Operator, PendingRequest
 from fullswarm.operator.console.api.twists import MOST_DRIVEN, MOST_DRIVEN_EACH, TwistStreams
 from fullswarm.operator.console.sessions import CLEAR_S, ConsoleContext
 from fullswarm.operator.console.tokens import Admitted, Doorkeeper
-from fullswarm.operator.estop import EStopOrder
+from fullswarm.operator.estop import EStopOrder, end_released
 from fullswarm.operator.leases import LeaseHolder
 from fullswarm.operator.missions import MissionClient
 
@@ -183,11 +183,7 @@ class Program:
 
     def end_estops(self, robots: tuple[str, ...]) -> None:
         """Stop repeating e-stops that concern `robots` (none: all): they are released."""
-        for order in self._estops:
-            theirs = order.message.robots
-            if order.message.engaged and (not robots or not theirs or not set(theirs).isdisjoint(robots)):
-                order.close()
-        self._estops = [each for each in self._estops if not each.message.engaged]
+        self._estops = end_released(self._estops, robots)
 
 
 class Programs:
