@@ -128,7 +128,7 @@ def _mlflow_errors(target: str) -> Iterator[None]:
             raise Unreachable(
                 f"the tracking server {what}", where=target, hint="is it the server's address?"
             ) from error
-        if module in ("mlflow", "sqlalchemy", "alembic", "builtins"):
+        if isinstance(error, OSError) or module in ("mlflow", "sqlalchemy", "alembic"):
             hint = "a folder, sqlite:///FILE.db, or http://HOST:5000"
             raise ConfigError(f"MLflow cannot write there: {text[:300]}", where=target, hint=hint) from error
         raise
