@@ -25,11 +25,14 @@ from tests.system.fault_matrix import (
     Round,
     config,
 )
-from tests.system.live import LiveSwarm
+from tests.system.live import START_S, LiveSwarm
 
 REACH_M = BOX_M - 0.2 - 0.17
 """Where a robot's bumper touches the box."""
-READY_S = 15.0
+READY_S = START_S
+"""Agents that were killed start again: as slow as at first."""
+SETTLES_S = 30.0
+"""No bound of the product: so long a machine with other work may take to bring about what a round begins with."""
 AGAIN_S = 1.5
 LONG_WAY_S = 12.0
 PAUSES = ("clock jump", "frozen simulation clock")
@@ -93,9 +96,9 @@ class Matrix:
         rig, swarm = self.rig, self.rig.swarm
         swarm.until(swarm.ready, READY_S, "all robots are ready")
         # Some tell of their battery once a second: a request that comes before would be refused.
-        swarm.until(lambda: all(self._charged(robot) for robot in BACKENDS), 5.0, "all batteries are seen full")
+        swarm.until(lambda: all(self._charged(robot) for robot in BACKENDS), SETTLES_S, "all batteries are seen full")
         swarm.operator.stop()
-        swarm.until(lambda: all(self._rests(robot) for robot in BACKENDS), 10.0, "all robots stand")
+        swarm.until(lambda: all(self._rests(robot) for robot in BACKENDS), SETTLES_S, "all robots stand")
         for robot, name in happens.items():
             rig.place(robot, FAULTS[name].start_m)
         swarm.rest(0.3)  # a few fixes, so that each knows where it is
@@ -110,7 +113,7 @@ class Matrix:
                 self._ask(happens)
             return False
 
-        swarm.until(all_drive, 15.0, f"{tuple(happens)} drive")
+        swarm.until(all_drive, SETTLES_S, f"{tuple(happens)} drive")
 
     def _ask(self, happens: Round) -> None:
         operator = self.rig.swarm.operator
