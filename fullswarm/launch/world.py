@@ -37,7 +37,7 @@ from fullswarm.simulation.ghosts import Ghosts, with_ghosts
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World
 
-HEARTBEAT_S = 0.5
+HEARTBEAT_S = 0.25
 FIX_HZ = 20.0
 MOST_AT_ONCE = 20
 FILMED = "world:"

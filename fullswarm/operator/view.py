@@ -33,8 +33,8 @@ from fullswarm.messages import (
 from fullswarm.recent import Names, Recent
 from fullswarm.runtime import Scheduler
 
-SILENT_S = 1.0
-"""Two health reports and all states between them: the robot, its link or its hub is lost."""
+SILENT_S = 0.8
+"""A health report and 15 states are missing: the robot, its link or its hub is lost. People read it within a second."""
 
 CHARGING_S = 6.0
 """Docks of an older status are not shown: three in a row were lost, or the core is not there."""
@@ -242,6 +242,16 @@ class FleetView:
     def present(self) -> tuple[str, ...]:
         """Return which robots must obey an order now: the robots expected and those received."""
         return tuple(sorted({*self._expected, *self.robots()}))
+
+    def quiet(self) -> frozenset[str]:
+        """Return the robots and processes that are silent now, and "hub" if that is gone; cheaper than a snapshot."""
+        latest_s = self._scheduler.now_s() - SILENT_S
+        found = {node for node, (arrived_s, _) in self._nodes.items() if arrived_s < latest_s}
+        for robot in self._health.keys() | self._states.keys():
+            tables = self._health.get(robot), self._states.get(robot)
+            if all(each is None or each[0] < latest_s for each in tables):
+                found.add(robot)
+        return frozenset(found if self._bus.connected() else {*found, "hub"})
 
     def snapshot(self) -> Snapshot:
         """Return the swarm as it is known now."""

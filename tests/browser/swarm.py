@@ -58,13 +58,12 @@ class Demo:
                 raise AssertionError(f"the demo never said {pattern!r}, but:\n{self.said}") from None
         return found[found.re.groups and 1]
 
-    def child(self, name: str) -> psutil.Process:
-        """Return the process that `fullswarm NAME` runs in."""
+    def child(self, *words: str) -> psutil.Process:
+        """Return the process that `fullswarm WORDS` runs in."""
         for each in psutil.Process(self.process.pid).children():
-            words = each.cmdline()
-            if words[2:4] == ["fullswarm", name]:
+            if each.cmdline()[2 : 3 + len(words)] == ["fullswarm", *words]:
                 return each
-        raise AssertionError(f"the demo has no process '{name}'")
+        raise AssertionError(f"the demo has no process '{' '.join(words)}'")
 
     @contextmanager
     def other_operator(self, *command: str) -> Iterator[None]:

@@ -40,7 +40,7 @@ ENDLESS = re.compile(
     r"|emulate|fixes( play|$)|record start|track(?! (init|sheets|calibrate)|.*--video)|mcp|ros bridge"
     r"|drive(?!.*--seconds))\b|fullswarm .* -f\b"
 )
-SWARMS = re.compile(r"fullswarm (up|demo)\b")
+SWARMS = re.compile(r"fullswarm (up|demo(?!.*--lockstep))\b")
 LIMIT_S = 300.0
 """Of one command, on a machine with other work."""
 UNSHARE = ["unshare", *(["-r"] if os.getuid() else []), "--net", "--pid", "--fork", "--mount-proc", "--kill-child"]

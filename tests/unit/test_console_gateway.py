@@ -78,8 +78,8 @@ def test_the_fleet_is_the_sign_of_life_and_names_what_to_do(bench: ConsoleBench)
     bench.report(health("r1", fault="link lost", lifecycle="FAULT"), health("r2", battery=0.1, behaviour="flocking"))
     bench.states("r1", "r2")
     before = len(page.all("fleet"))
-    bench.run(1.0)
-    assert 4 <= len(page.all("fleet")) - before <= 5
+    bench.run(0.75)
+    assert 3 <= len(page.all("fleet")) - before <= 4
     first, second = page.last("fleet")["robots"]
     assert first["attention"]
     assert first["advice"] == robot_state.UNKNOWN
@@ -89,6 +89,19 @@ def test_the_fleet_is_the_sign_of_life_and_names_what_to_do(bench: ConsoleBench)
     bench.run(3.0)
     assert page.last("fleet")["silent"] == ["r1", "r2"]
     assert page.log("link")[-1] == "r1, r2: silent"
+
+
+def test_a_robot_that_falls_silent_is_told_within_a_second_and_at_once(bench: ConsoleBench) -> None:
+    page, _ = bench.join()
+    for _ in range(10):
+        bench.report(health("r1"), health("r2"))
+        bench.states("r1", "r2")
+        bench.run(0.05)
+    for _ in range(19):
+        bench.report(health("r2"))
+        bench.states("r2")
+        bench.run(0.05)
+    assert page.last("fleet")["silent"] == ["r1"], "0.95 s after its last message"
 
 
 def test_a_control_law_that_fails_is_in_the_log(bench: ConsoleBench) -> None:

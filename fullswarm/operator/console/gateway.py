@@ -100,6 +100,7 @@ class Gateway:
         self._changed: set[str] = set()
         self._states_sent = self._opened = 0
         self._held = False  # the study holds the simulated world still
+        self._quiet: frozenset[str] = frozenset()
         self.undrawn: dict[str, int] = {}
         self._trails, self._charts, self._goals = Trails(), Charts(), Goals()
         self.view = FleetView(bus, keys, scheduler)
@@ -349,6 +350,9 @@ class Gateway:
     def _send_changes(self) -> None:
         now_s = self._scheduler.now_s()
         changed, self._changed = self._changed, set()
+        if (quiet := self.view.quiet()) != self._quiet:
+            self._quiet = quiet
+            self._send_fleet()  # what has fallen silent is told at once
         with self._drawing("estop"):
             if frame := self._estops.changed_frame():
                 self._send(frame)

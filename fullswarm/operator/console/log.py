@@ -12,7 +12,7 @@ import msgspec
 
 from fullswarm.messages import BehaviourRequest, FileReload, Lease, RequestStatus, RobotHealth
 from fullswarm.operator.console.fleet import core_age_s
-from fullswarm.operator.view import Snapshot
+from fullswarm.operator.view import SILENT_S, Snapshot
 from fullswarm.reasons import Code
 from fullswarm.recent import Recent
 
@@ -200,7 +200,6 @@ def _bound(table: OrderedDict[Any, Any]) -> None:
         table.popitem(last=False)
 
 
-CORE_SILENT_S = 1.0
 NO_REASON = "a fault without a reason"
 
 
@@ -227,7 +226,7 @@ class ChangeLog:
                 self.log.add(now_s, "link", text)
             self._hub = seen.connected
         age_s = core_age_s(seen)
-        core = age_s is not None and age_s <= CORE_SILENT_S
+        core = age_s is not None and age_s <= SILENT_S
         if core != self._core:
             if self._core is not None:
                 self.log.add(now_s, "link", "the core is running" if core else "the core is silent")

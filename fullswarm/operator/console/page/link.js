@@ -170,7 +170,8 @@ export function identity() {
   return { token: sessionStorage.getItem("token") ?? "", session };
 }
 
-export const OLD_S = 1.0;
+/** As SILENT_S of operator/view.py. */
+export const OLD_S = 0.8;
 
 /**
  * @typedef {{open: boolean, now_s: number, heard_s: number | null, fleet_s: number | null, hub: boolean,
