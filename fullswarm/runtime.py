@@ -73,8 +73,9 @@ class Mailbox:
     """
 
     def __init__(self) -> None:
-        self.on_put: Callable[[], None] | None = None
-        """Called after each :meth:`put`, on the thread that puts: wakes a loop that waits for something else, too."""
+        self.on_put: Callable[[bool], None] | None = None
+        """Called after each put, on the thread that puts: wakes a loop that waits for something else, too. The argument
+        tells whether the message is urgent; states and what is only read are not."""
         self.dropped: dict[str, int] = {}
         # None stands for one message of a lane, the first one there is when its turn comes.
         self._queue: queue.SimpleQueue[tuple[Handler, Any] | None] = queue.SimpleQueue()
@@ -97,12 +98,12 @@ class Mailbox:
         self._queue.put((handler, message))
         self._ring()
 
-    def _ring(self) -> None:
+    def _ring(self, urgent: bool = True) -> None:
         if self._bell.locked():
             with suppress(RuntimeError):  # another thread has rung it just now
                 self._bell.release()
         if self.on_put is not None:
-            self.on_put()
+            self.on_put(urgent)
 
     def put_into(self, lane: Lane, handler: Handler, message: Any, on_drop: Handler, *, always: bool = False) -> None:
         """Do the same with a message that may be dropped when too many wait; then call `on_drop(message)`.
@@ -126,7 +127,7 @@ class Mailbox:
             lost[2](lost[1])
         else:
             self._queue.put(None)
-        self._ring()
+        self._ring(lane is Lane.ORDERS)
 
     def note_drop(self, cause: str) -> None:
         """Count a message that was dropped before it came here."""

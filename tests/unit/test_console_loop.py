@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import cast
 
 import pytest
 
 from fullswarm.clock import MonotonicClock, SimClock
-from fullswarm.operator.console.serve import RuntimeLoop
+from fullswarm.operator.console.serve import GATHER_S, RuntimeLoop
 from fullswarm.operator.console.server import LONGEST, Outbox
-from fullswarm.runtime import AT_ONCE, LONGEST_WAIT_S, Runtime
+from fullswarm.runtime import AT_ONCE, LONGEST_WAIT_S, Lane, Runtime
 
 
 def test_serve_due_delivers_fires_and_returns_the_time_to_the_next_call() -> None:
@@ -79,6 +82,87 @@ def test_what_other_threads_put_is_delivered_on_the_loop_in_order() -> None:
     assert heard == list(range(5000))
     assert threads == {threading.get_ident()}
     assert done == []
+
+
+class StepLoop:
+    """What of an asyncio loop is used, on a clock that stands still until it is moved."""
+
+    def __init__(self) -> None:
+        self.now_s, self.wakes = 0.0, 0
+        self.soon: list[Callable[[], None]] = []
+        self.timers: list[StepTimer] = []
+
+    def time(self) -> float:
+        return self.now_s
+
+    def call_soon_threadsafe(self, call: Callable[[], None]) -> None:
+        self.wakes += 1
+        self.soon.append(call)
+
+    def call_at(self, due_s: float, call: Callable[[], None]) -> StepTimer:
+        self.timers.append(StepTimer(due_s, call))
+        return self.timers[-1]
+
+    def call_later(self, wait_s: float, call: Callable[[], None]) -> StepTimer:
+        return self.call_at(self.now_s + wait_s, call)
+
+    def step(self, to_s: float) -> None:
+        """Call what is due until then."""
+        while self.soon:
+            self.soon.pop(0)()
+        self.now_s = to_s
+        for timer in [each for each in self.timers if each.due_s <= to_s and not each.cancelled]:
+            timer.cancel()
+            timer.call()
+
+
+@dataclass
+class StepTimer:
+    due_s: float
+    call: Callable[[], None]
+    cancelled: bool = False
+
+    def when(self) -> float:
+        return self.due_s
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+
+def test_states_gather_for_a_moment_and_an_order_is_delivered_at_once_with_them() -> None:
+    runtime, loop, heard = Runtime(SimClock()), StepLoop(), list[str]()
+    pump = RuntimeLoop(runtime, cast(asyncio.AbstractEventLoop, loop), lambda error: None)
+    for number in range(50):
+        runtime.mailbox.put_into(Lane.STATES, heard.append, f"state {number}", heard.append)
+        loop.step(number * 0.0001)
+    assert (loop.wakes, heard) == (1, []), "one wake-up for all"
+    loop.step(GATHER_S + 0.001)
+    assert len(heard) == 50
+    runtime.mailbox.put_into(Lane.READS, heard.append, "read", heard.append)
+    loop.step(loop.now_s)
+    runtime.mailbox.put_into(Lane.ORDERS, heard.append, "stop", heard.append)
+    loop.step(loop.now_s)
+    assert heard[50:] == ["stop", "read"], "without waiting"
+    runtime.mailbox.put_into(Lane.STATES, heard.append, "state", heard.append)
+    loop.step(loop.now_s)
+    loop.step(loop.now_s + GATHER_S)
+    assert heard[52:] == ["state"], "the next one gathers again"
+    pump.close()
+
+
+def test_states_do_not_put_off_a_timer_that_is_due_before() -> None:
+    clock, loop, heard = SimClock(), StepLoop(), list[str]()
+    runtime = Runtime(clock)
+    runtime.after(0.5 * GATHER_S, lambda: heard.append("tick"))
+    pump = RuntimeLoop(runtime, cast(asyncio.AbstractEventLoop, loop), lambda error: None)
+    runtime.mailbox.put(heard.append, "first")
+    loop.step(0.0)
+    runtime.mailbox.put_into(Lane.STATES, heard.append, "state", heard.append)
+    loop.step(0.0)
+    clock.advance_to(0.5 * GATHER_S)
+    loop.step(0.5 * GATHER_S)
+    assert heard == ["first", "state", "tick"]
+    pump.close()
 
 
 def test_a_page_that_was_busy_gets_the_newest_state_and_every_answer() -> None:

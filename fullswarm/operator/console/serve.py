@@ -318,8 +318,12 @@ def _is_ipv6(name: str) -> bool:
 
 
 # ---------------------------------------------------------------- the loop
+GATHER_S = 0.02
+"""How long states may wait for others: to wake the loop costs more than to deliver one, and pages get 20 a second."""
+
+
 class RuntimeLoop:
-    """Calls :meth:`Runtime.serve_due` whenever a message has come or a timer is due.
+    """Calls :meth:`Runtime.serve_due` whenever a timer is due, an urgent message has come, or states have gathered.
 
     Parameters
     ----------
@@ -331,7 +335,7 @@ class RuntimeLoop:
         self, runtime: Runtime, loop: asyncio.AbstractEventLoop, on_error: Callable[[BaseException], None]
     ) -> None:
         self._runtime, self._loop, self._on_error = runtime, loop, on_error
-        self._called = self._closed = False
+        self._called = self._gathers = self._closed = False
         self._timer: asyncio.TimerHandle | None = None
         runtime.mailbox.on_put = self._wake_from_any_thread
 
@@ -348,14 +352,28 @@ class RuntimeLoop:
         if self._timer is not None:
             self._timer.cancel()
 
-    def _wake_from_any_thread(self) -> None:
+    def _wake_from_any_thread(self, urgent: bool) -> None:
         """Have the loop serve what was put; called on any thread, once for many messages."""
-        if not self._called and not self._closed:
+        if self._called or self._closed or (self._gathers and not urgent):
+            return
+        if urgent:
             self._called = True
             self._loop.call_soon_threadsafe(self._serve)
+        else:
+            self._gathers = True
+            self._loop.call_soon_threadsafe(self._gather)
+
+    def _gather(self) -> None:
+        """Serve in a moment, unless something is due before."""
+        due_s = self._loop.time() + GATHER_S
+        if self._closed or (self._timer is not None and self._timer.when() <= due_s):
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._loop.call_at(due_s, self._serve)
 
     def _serve(self) -> None:
-        self._called = False  # first: what is put from here on must schedule again
+        self._called = self._gathers = False  # first: what is put from here on must schedule again
         if self._timer is not None:
             self._timer.cancel()
         if self._closed:
