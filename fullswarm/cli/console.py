@@ -79,6 +79,10 @@ def console(
         Path | None,
         typer.Option(metavar="FILE.mcap", help="Show a recording in place of a live swarm: any moment of it."),
     ] = None,
+    underlay: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw this under the map: a floor plan, a map of ROS (YAML), MBTiles."),
+    ] = None,
     as_json: Json = False,
     study: Annotated[Path | None, typer.Option("--study", hidden=True)] = None,
     recorded_to: Annotated[Path | None, typer.Option("--recorded-to", hidden=True)] = None,
@@ -110,6 +114,7 @@ def console(
         operator=operator_name(owner) if owner else "",
         insecure_network=insecure_network,
         study=study,
+        underlay=underlay,
         api=api_tokens or (_tokens_file(of_programs=True) if api else None),
         recording=_recording_of(target, recorded_to),
         icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},

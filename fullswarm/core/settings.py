@@ -28,7 +28,7 @@ SILENCE = "presence_silence_s"
 PERFORMANCE = "performance/"
 SPEED, TURN = "agent/speed_limit_m_s", "agent/turn_limit_rad_s"
 MARGIN, GAIN = "agent/safety_margin_m", "agent/barrier_gain_per_s"
-BOUNDS, BOXES = "world/bounds", "world/boxes"
+BOUNDS, BOXES, ORIGIN = "world/bounds", "world/boxes", "world/origin"
 SENSING = "agent/sensing_radius_m"
 GROUP = "group/"
 COPIES_S = 0.1
@@ -66,6 +66,8 @@ def seeds(config: SwarmConfig) -> dict[str, Stored]:
         BOXES: {"boxes": [list(box) for box in world.boxes] if world else []},
         SENSING: agent.sensing_radius_m,
     }
+    if config.origin_deg is not None:
+        values[ORIGIN] = {"latitude_deg": config.origin_deg[0], "longitude_deg": config.origin_deg[1]}
     values |= {GROUP + name: {"robots": list(robots)} for name, robots in config.groups.items()}
     return values | {PERFORMANCE + name: value for name, value in config.performance.model_dump().items()}
 

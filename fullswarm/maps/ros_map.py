@@ -75,19 +75,29 @@ def is_ros_map(text: str) -> bool:
     return all(re.search(rf"^{key}\s*:", text, re.MULTILINE) for key in ("image", "resolution", "origin"))
 
 
-def read_ros_map(sidecar: Path) -> RosMap:
-    """Return the map that a YAML file describes.
+@dataclass(frozen=True, slots=True)
+class Sidecar:
+    """What the YAML file of a map says: its picture, size of a cell, pose of its lower left corner; all its keys."""
+
+    picture: Path
+    cell_m: float
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    given: dict[str, str]
+
+
+def read_sidecar(path: Path) -> Sidecar:
+    """Return what the YAML file of a map says; its picture is not read.
 
     Raises
     ------
     ConfigError
-        A file cannot be read, a key is missing or has no valid value, or the picture is none.
-    MissingExtra
-        The picture is no PGM, and Pillow is not installed.
+        It cannot be read, or a key is missing or has no valid value.
     """
-    where = str(sidecar)
+    where = str(path)
     try:
-        given = _settings(sidecar.read_text("utf-8"), where)
+        given = _settings(path.read_text("utf-8"), where)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"cannot be read: {getattr(error, 'strerror', None) or error}", where=where,
@@ -100,8 +110,22 @@ def read_ros_map(sidecar: Path) -> RosMap:
     image = given["image"]
     if not image:
         raise ConfigError("image: names no picture", where=where)
-    pixels = _picture(sidecar.parent / image)
-    return RosMap(_states(pixels, given, where), cell_m, x_m, y_m, yaw_rad)
+    return Sidecar(path.parent / image, cell_m, x_m, y_m, yaw_rad, given)
+
+
+def read_ros_map(sidecar: Path) -> RosMap:
+    """Return the map that a YAML file describes.
+
+    Raises
+    ------
+    ConfigError
+        A file cannot be read, a key is missing or has no valid value, or the picture is none.
+    MissingExtra
+        The picture is no PGM, and Pillow is not installed.
+    """
+    read = read_sidecar(sidecar)
+    states = _states(_picture(read.picture), read.given, str(sidecar))
+    return RosMap(states, read.cell_m, read.x_m, read.y_m, read.yaw_rad)
 
 
 def _settings(text: str, where: str) -> dict[str, str]:

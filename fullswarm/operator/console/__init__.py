@@ -25,6 +25,7 @@ The server knows no robots, and serves the runtime of the nodes on its own loop,
 ``frames.py``    the frames that a page may send, and their checks
 ``server.py``    the web application: files, WebSockets, frames that wait for a slow page
 ``tokens.py``    tokens: whose they are, what they allow, how long they count
+``underlay.py``  what lies under the map: reads a plan, a map of ROS or tiles, and serves it
 ``access.py``    access control: Host, Origin, token, limits of unverified connections
 ``serve.py``     the loop, start and end; opens the page in a browser
 ``api/``         the interface for outside programs, on the same server
@@ -46,7 +47,8 @@ of ``index.html`` and a line in ``main.js``:
 ``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers
-``tools.js``      the tools of the map: goals, formations; ``pointer.js``: mouse, pen and fingers
+``underlay.js``   what lies under the map: a plan, a map of ROS, tiles
+``tools.js``      the tools of the map: goals, formations, measuring; ``pointer.js``: mouse, pen and fingers
 ``past.js``       plays the past into the store that is shown; ``timeline.js``, ``marks.js``: the bar, its panel
 ``study.js``      the dialogs of a study: briefing, probes, NASA-TLX; tells the console what is clicked
 ``dom.js``        helpers for elements and events

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
     from fullswarm.operator.console.gateway import Gateway
     from fullswarm.operator.console.server import PageSource
+    from fullswarm.operator.console.underlay import Underlay
 import html
 import tempfile
 import webbrowser
@@ -68,6 +69,7 @@ class Options:
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
     study: Path | None = None  # folder of a trial of a study
     api: Path | None = None  # file with the tokens of programs; None: no interface for them
+    underlay: Path | None = None  # drawn under the map: a plan, a map of ROS, tiles; None: nothing
     recording: Callable[[], Path | None] = lambda: None  # the recording that is made of the swarm now, on this machine
 
 
@@ -102,9 +104,17 @@ def serve(
     if options.api is not None:
         TokenFile(options.api).tokens()  # raises what is wrong with the file
     doorkeeper = Doorkeeper(token, wall_time_s, name=options.operator, file=file)
+    if options.underlay is not None:
+        from fullswarm.operator.console.underlay import read_underlay
+
+        underlay = read_underlay(options.underlay)
+    else:
+        underlay = None
     keys = Keys(target.swarm)
     with contextlib.closing(bind(host, port, options.listen, ANOTHER)) as listener:
-        return asyncio.run(_serve(listener, host, (token, doorkeeper), keys, target, options, on_start, recording))
+        return asyncio.run(
+            _serve(listener, host, (token, doorkeeper), keys, target, options, on_start, recording, underlay)
+        )
 
 
 def parse_listen(text: str, insecure_network: bool) -> tuple[str, int]:
@@ -189,6 +199,7 @@ async def _serve(
     options: Options,
     on_start: OnStart,
     recording: Callable[[Scheduler], PageSource[Any]] | None,
+    underlay: Underlay | None,
 ) -> int:
     from fullswarm.operator.console.access import Names, lower, uvicorn_server
     from fullswarm.operator.console.api.server import Api
@@ -217,7 +228,7 @@ async def _serve(
                 tokens = Doorkeeper("", wall_time_s, file=TokenFile(options.api))
                 api = Api(gateway, tokens, runtime.now_s, runtime_loop.wake, process)
         names = Names(host, port, lower(options.allow_hosts))
-        web = Web(shown, doorkeeper, runtime.now_s, runtime_loop.wake)
+        web = Web(shown, doorkeeper, runtime.now_s, runtime_loop.wake, underlay)
         server = uvicorn_server(web.app(names, Pages(), *(() if api is None else (api.route(),))))
         ended_by = end_on_signals(loop, server)
         address = url(host, port, token, options.allow_hosts)

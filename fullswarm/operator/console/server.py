@@ -24,6 +24,7 @@ from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.frames import MAX_BYTES
 from fullswarm.operator.console.sessions import Listener
 from fullswarm.operator.console.tokens import RENEW_S, Admitted, Doorkeeper, Role
+from fullswarm.operator.console.underlay import Underlay
 
 MOST_CLIENTS = 16
 HELLO_S = 3.0
@@ -75,12 +76,15 @@ class Web:
     ----------
     wake
         Called after each command, because the nodes may have set timers.
+    underlay
+        What pages draw under the map; None: nothing.
     """
 
     gateway: PageSource[Any]
     doorkeeper: Doorkeeper
     now_s: Callable[[], float]
     wake: Callable[[], None]
+    underlay: Underlay | None = None
     hello_s: float = HELLO_S
     stalled_s: float = STALLED_S
     clients: int = field(default=0, init=False)
@@ -92,6 +96,7 @@ class Web:
             Route("/page/{name:path}", pages.serve),
             Route("/clip/{key}", self.clip),
             WebSocketRoute("/ws", self.socket),
+            *(() if self.underlay is None else (self.underlay.route(),)),
             *more,
         ]
         return Starlette(routes=routes, middleware=[Middleware(Guard, names=names)])
@@ -138,6 +143,8 @@ class Web:
         outbox = Outbox(self.now_s)
         name = admitted.name or hello.name
         session = self.gateway.join(hello.session, name, outbox, named=bool(admitted.name), role=admitted.role)
+        if self.underlay is not None:
+            outbox.put("underlay", frames.encode(self.underlay.frame()))
         self.wake()
         tasks = {
             asyncio.create_task(outbox.run(websocket.send_text)),

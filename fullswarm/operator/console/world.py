@@ -14,7 +14,7 @@ from fullswarm.runtime import Scheduler
 
 EVERYTHING = "*"
 BEHAVIOUR, GROUP, ORDER = "behaviour/", "group/", "wanted/"
-BOUNDS, BOXES, SENSING = "world/bounds", "world/boxes", "agent/sensing_radius_m"
+BOUNDS, BOXES, SENSING, ORIGIN = "world/bounds", "world/boxes", "agent/sensing_radius_m", "world/origin"
 MOST = 20_000
 """Entries that are kept."""
 LONGEST_GAP_S, CALM_S = 8.0, 10.0
@@ -72,6 +72,7 @@ class World:
         return {
             "arena": self._arena(),
             "boxes": self._boxes(),
+            "origin": self._origin(),
             "sensing_radius_m": self._values.get(SENSING),
             "behaviours": {name: self.record(name) for name in self._names(BEHAVIOUR)},
             "groups": {name: list(self.group(name) or ()) for name in self._names(GROUP)},
@@ -134,6 +135,12 @@ class World:
         boxes = self._values.get(BOXES)
         found = boxes.get("boxes") if isinstance(boxes, dict) else None
         return list(found) if isinstance(found, list | tuple) else []
+
+    def _origin(self) -> list[float] | None:
+        """Return latitude and longitude (degrees) of the swarm's (0, 0)."""
+        origin = self._values.get(ORIGIN)
+        found = [origin.get(each) for each in ("latitude_deg", "longitude_deg")] if isinstance(origin, dict) else []
+        return [float(each) for each in found if isinstance(each, int | float)] if len(found) == 2 else None
 
     # ---------------------------------------------------------------- staying up to date
     def _ask_soon(self, delay_s: float) -> None:

@@ -5,6 +5,7 @@ import { scaleBar } from "./viewport.js";
 
 /** @import { Colours } from "./palette.js" */
 /** @import { Box, Coverage } from "./types.d.ts" */
+/** @import { Underlay } from "./underlay.js" */
 /** @import { Viewport } from "./viewport.js" */
 
 const TRAIL_BANDS = 4;
@@ -16,7 +17,7 @@ const TRAIL_S = 60;
  */
 
 /** Draw floor, grid, boxes and seen obstacles; this picture is kept until the view or the world changes. */
-export function drawFloor(/** @type {Scene} */ scene, /** @type {{coverage: boolean}} */ options) {
+export function drawFloor(/** @type {Scene} */ scene, /** @type {{coverage: boolean, underlay: Underlay | null}} */ options) {
   const { context, view, dpr, colours, store } = scene;
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.fillStyle = colours.outside;
@@ -26,6 +27,9 @@ export function drawFloor(/** @type {Scene} */ scene, /** @type {{coverage: bool
   if (arena) {
     context.fillStyle = colours.floor;
     context.fillRect(arena[0], arena[1], arena[2] - arena[0], arena[3] - arena[1]);
+  }
+  options.underlay?.draw(context, view, arena);
+  if (arena) {
     if (options.coverage && store.coverage) drawCoverage(context, store.coverage, colours);
     drawGrid(context, view, arena, colours);
     context.strokeStyle = colours.wall;

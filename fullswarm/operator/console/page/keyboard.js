@@ -21,7 +21,7 @@ export class Keyboard {
     this.arrows = arrows;
     /** @type {Record<string, () => void>} plain key → its action; the page's help lists them too */
     this.actions = {
-      f: () => map.fit(), g: () => tools.use("goal"), o: () => tools.use("formation"), s: () => tools.use("select"),
+      f: () => map.fit(), g: () => tools.use("goal"), o: () => tools.use("formation"), s: () => tools.use("select"), m: () => tools.use("measure"),
       c: () => toolbar.layer("coverage"), t: () => toolbar.layer("trails"), d: () => theme.toggle(),
       b: () => byId("behaviour-search").focus(),
       "+": () => toolbar.zoom(1.3), "=": () => toolbar.zoom(1.3), "-": () => toolbar.zoom(1 / 1.3),

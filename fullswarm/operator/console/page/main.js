@@ -39,7 +39,8 @@ import { Study } from "./study.js";
 import { Theme } from "./theme.js";
 import { TimeBar } from "./timeline.js";
 import { Toolbar } from "./toolbar.js";
-import { Tools } from "./tools.js";
+import { rulerWords, Tools } from "./tools.js";
+import { Underlay } from "./underlay.js";
 
 const FIT_MS = 200;
 
@@ -56,6 +57,7 @@ const map = new SwarmMap({ ground, live, store, selection, theme });
 const banners = new Banners({ link, store: present, commands, map });
 const tools = new Tools({ store, selection, commands, hint: (words) => banners.hint(words) });
 map.tool = tools;
+map.underlay = new Underlay({ store: present, map });
 const toolbar = new Toolbar({ map, tools, commands, store });
 const stops = new Stops(present, commands);
 const driver = new Driver({ link, store: present, selection, commands });
@@ -147,6 +149,7 @@ window.fullswarm = Object.freeze({
     return {
       robots, docks: structuredClone(store.docks), selection: selection.list(),
       goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
+      ruler: tools.ruler && rulerWords(tools.ruler.from, tools.ruler.to),
       operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: store.charts.length, log: store.log.length,
       time: { live: past.live, at_s: past.live ? map.drawn_s : past.at_s, from_s: past.from_s, to_s: past.to_s, ready: past.ready, playing: past.playing },
     };

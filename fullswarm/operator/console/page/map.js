@@ -29,6 +29,7 @@ export class SwarmMap {
     this.view = new Viewport();
     this.stats = new Stats();
     this.options = { coverage: true, trails: true };
+    this.underlay = /** @type {import("./underlay.js").Underlay | null} */ (null);
     this.tool = /** @type {import("./tools.js").Tools | null} */ (null);
     this.hovered = /** @type {string | null} */ (null);
     this.old = false; // data is old: veiled
@@ -137,7 +138,7 @@ export class SwarmMap {
       colours: MAP_COLOURS[this.theme.dark ? "dark" : "light"],
     };
     if (this.#floorStale) {
-      drawFloor({ ...scene, context: this.#floor }, this.options);
+      drawFloor({ ...scene, context: this.#floor }, { ...this.options, underlay: this.underlay });
       this.#floorStale = false;
       this.#groundStale = true;
     }

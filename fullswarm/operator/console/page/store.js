@@ -5,7 +5,7 @@ import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
-/** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, TimeEvent, TimelineFrame, World } from "./types.d.ts" */
+/** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, World } from "./types.d.ts" */
 
 const LOG_KEPT = 500;
 const CHART_KEPT = 1200;
@@ -13,12 +13,12 @@ const CHART_KEPT = 1200;
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
  * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study,
- * cameras, picture; timeline, history, events (all), event, bookmarks, clip.
+ * underlay, cameras, picture; timeline, history, events (all), event, bookmarks, clip.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
  *   goals: Store["goals"], docks: Dock[], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
  *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study,
- *   cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string},
+ *   underlay: UnderlayFrame, cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string},
  *   timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
  *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame}>}
  */
@@ -29,6 +29,7 @@ export class Store extends Emitter {
     this.icons = /** @type {Record<string, [string, string]>} */ ({});
     this.arena = /** @type {Box | null} */ (null);
     this.boxes = /** @type {number[][]} */ ([]);
+    this.origin = /** @type {[number, number] | null} */ (null); // on earth: latitude, longitude, degrees
     this.sensing_radius_m = /** @type {number | null} */ (null);
     this.behaviours = /** @type {Record<string, Behaviour>} */ ({});
     this.groups = /** @type {Record<string, string[]>} */ ({});
@@ -139,6 +140,7 @@ export class Store extends Emitter {
     mission: (message) => this.emit("mission", message),
     lost: (message) => this.emit("lost", message),
     study: (message) => this.emit("study", message),
+    underlay: (message) => this.emit("underlay", message),
     cameras: ({ cameras }) => this.emit("cameras", cameras),
     picture: (message) => this.emit("picture", message),
     timeline: (message) => this.emit("timeline", message),
@@ -220,6 +222,7 @@ export class Store extends Emitter {
   #world(message) {
     this.arena = message.arena ?? this.arena;
     this.boxes = message.boxes ?? this.boxes;
+    this.origin = message.origin ?? this.origin;
     this.sensing_radius_m = message.sensing_radius_m ?? this.sensing_radius_m;
     this.behaviours = message.behaviours ?? this.behaviours;
     this.groups = message.groups ?? this.groups;

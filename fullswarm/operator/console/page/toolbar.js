@@ -9,6 +9,7 @@ import { byId, setText } from "./dom.js";
 const HINTS = {
   select: "",
   goal: "Click where the selected robots shall go. Esc: leave it.",
+  measure: "Drag, or click twice, to measure a distance. Esc: done.",
   formation: "Drag from the middle outwards, release to send them. Esc: leave it.",
   pick: "Click on the map to pick a point. Esc: done.",
 };
@@ -21,7 +22,7 @@ export class Toolbar {
   constructor({ map, tools, commands, store }) {
     this.map = map;
     this.tools = tools;
-    for (const mode of /** @type {const} */ (["select", "goal", "formation"])) {
+    for (const mode of /** @type {const} */ (["select", "goal", "formation", "measure"])) {
       byId(`tool-${mode}`).addEventListener("click", () => tools.use(mode));
     }
     byId("zoom-in").addEventListener("click", () => this.zoom(1.3));
@@ -67,7 +68,7 @@ export class Toolbar {
 
   #show() {
     const { mode } = this.tools;
-    for (const each of /** @type {const} */ (["select", "goal", "formation"])) {
+    for (const each of /** @type {const} */ (["select", "goal", "formation", "measure"])) {
       byId(`tool-${each}`).setAttribute("aria-pressed", String(each === mode));
     }
     setText(byId("tool-hint"), HINTS[mode]);

@@ -1,4 +1,4 @@
-/** The tools of the map, and how they are drawn: select, set a goal, drag a formation, or pick a point for a form. */
+/** The tools of the map, and how they are drawn: select, goal, formation, measure, or pick a point for a form. */
 
 import { Emitter } from "./dom.js";
 import { assign, lassoed, places } from "./geometry.js";
@@ -13,7 +13,7 @@ export const STEP_M = 0.25;
 const PREVIEWED = 40; // robots; more would make the drag stutter
 
 /**
- * @typedef {"select" | "goal" | "formation" | "pick"} Mode
+ * @typedef {"select" | "goal" | "formation" | "measure" | "pick"} Mode
  */
 
 /**
@@ -36,9 +36,11 @@ export class Tools extends Emitter {
     this.lasso = /** @type {Point[]} */ ([]);
     this.drag = /** @type {{from: Point, to: Point} | null} */ (null);
     this.picked = /** @type {Point[]} */ ([]);
+    this.ruler = /** @type {{from: Point, to: Point} | null} */ (null);
   }
 
   cursor = /** @type {Point | null} */ (null); // keyboard
+  #rulerOpen = false; // its first end was set by a click, the second one is to come
   #pick = /** @type {((point: Point) => boolean) | null} */ (null);
 
   /**
@@ -53,6 +55,8 @@ export class Tools extends Emitter {
     this.drag = null;
     this.cursor = null;
     this.picked = [];
+    this.ruler = null;
+    this.#rulerOpen = false;
     this.emit("change");
   }
 
@@ -77,6 +81,7 @@ export class Tools extends Emitter {
   click(point, robot, extend) {
     if (this.mode === "goal") return this.goal(point);
     if (this.mode === "pick") return this.#picked(point);
+    if (this.mode === "measure") return this.#measure(point);
     if (this.mode !== "select" || !robot) return undefined;
     return extend ? this.selection.toggle(robot.id) : this.selection.set([robot.id]);
   }
@@ -104,12 +109,14 @@ export class Tools extends Emitter {
   dragFrom(point) {
     if (this.mode === "select") this.lasso = [point];
     else if (this.mode === "formation") this.drag = { from: point, to: point };
+    else if (this.mode === "measure") this.ruler = { from: point, to: point };
   }
 
   /** @param {Point} point */
   dragTo(point) {
     if (this.mode === "select") this.lasso.push(point);
     else if (this.drag) this.drag = { from: this.drag.from, to: point };
+    else if (this.mode === "measure" && this.ruler) this.ruler = { from: this.ruler.from, to: point };
     this.emit("draw");
   }
 
@@ -153,6 +160,7 @@ export class Tools extends Emitter {
     const [x, y] = this.cursor ?? start;
     this.cursor = [x + dx * STEP_M, y + dy * STEP_M];
     if (this.drag) this.drag = { from: this.drag.from, to: this.cursor };
+    if (this.#rulerOpen && this.ruler) this.ruler = { from: this.ruler.from, to: this.cursor };
     this.emit("draw");
     return true;
   }
@@ -163,6 +171,16 @@ export class Tools extends Emitter {
     if (this.mode !== "formation") this.click(this.cursor, null, false);
     else if (this.drag) this.dragEnd([], false);
     else this.drag = { from: this.cursor, to: this.cursor };
+    this.emit("draw");
+  }
+
+  /**
+   * The first click begins a measurement, the second one ends it; dragging does both.
+   * @param {Point} point
+   */
+  #measure(point) {
+    this.ruler = { from: this.#rulerOpen && this.ruler ? this.ruler.from : point, to: point };
+    this.#rulerOpen = !this.#rulerOpen;
     this.emit("draw");
   }
 
@@ -185,6 +203,7 @@ export class Tools extends Emitter {
 export function drawTool(scene, tool, placed, selection) {
   if (tool.lasso.length > 1) drawLasso(scene, tool.lasso);
   if (tool.drag) drawFormation(scene, tool, placed, selection);
+  if (tool.ruler) drawRuler(scene, tool.ruler);
   for (const [k, point] of tool.picked.entries()) drawPicked(scene, point, String(k + 1));
   if (tool.cursor) drawCrosshair(scene, tool.cursor);
 }
@@ -235,6 +254,44 @@ function drawFormation({ context, view, colours, store }, tool, placed, selectio
   context.stroke();
   context.setLineDash([]);
   context.globalAlpha = 1;
+}
+
+/**
+ * @param {Scene} scene
+ * @param {{from: Point, to: Point}} ruler
+ */
+function drawRuler({ context, view, colours }, { from, to }) {
+  const [x0, y0] = view.toScreen(...from), [x1, y1] = view.toScreen(...to);
+  context.strokeStyle = colours.goal;
+  context.fillStyle = colours.goal;
+  context.lineWidth = 2;
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.stroke();
+  for (const [x, y] of [[x0, y0], [x1, y1]]) {
+    context.beginPath();
+    context.arc(x, y, 4, 0, 2 * Math.PI);
+    context.fill();
+  }
+  const words = rulerWords(from, to);
+  context.font = "600 14px system-ui, sans-serif";
+  const wide = context.measureText(words).width;
+  const left = Math.max(4, Math.min(view.width - wide - 12, (x0 + x1 - wide) / 2)), top = Math.max(4, (y0 + y1) / 2 - 30);
+  context.fillStyle = colours.floor;
+  context.fillRect(left, top, wide + 8, 22);
+  context.fillStyle = colours.ink;
+  context.fillText(words, left + 4, top + 16);
+}
+
+/**
+ * Return a measured distance in words: its length, and along each axis.
+ * @param {Point} from
+ * @param {Point} to
+ */
+export function rulerWords([x0, y0], [x1, y1]) {
+  const metres = (/** @type {number} */ value) => value.toFixed(Math.abs(value) < 100 ? 2 : 1).replace("-", "−");
+  return `${metres(Math.hypot(x1 - x0, y1 - y0))} m (x ${metres(x1 - x0)}, y ${metres(y1 - y0)})`;
 }
 
 /**

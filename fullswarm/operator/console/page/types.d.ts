@@ -61,10 +61,17 @@ export interface Behaviour {
 export interface Shown {
   arena: Box | null;
   boxes: number[][];
+  origin: [latitude_deg: number, longitude_deg: number] | null;
   sensing_radius_m: number | null;
   behaviours: Record<string, Behaviour>;
   groups: Record<string, string[]>;
 }
+
+/** What is drawn under the map. `place`: size of a pixel (m), lower left corner (m), yaw; null: it fills the arena. */
+export type UnderlayFrame = { t: "underlay"; name: string; address: string } & (
+  | { kind: "picture"; width: number; height: number; place: [number, number, number, number] | null }
+  | { kind: "tiles"; zooms: [number, number]; attribution: string }
+);
 
 export interface World extends Partial<Shown> {
   t: "world" | "hello";
@@ -329,6 +336,7 @@ export type Message =
   | { t: "missions"; missions: Mission[] }
   | MissionReply
   | Study
+  | UnderlayFrame
   | { t: "cameras"; cameras: Camera[] }
   | { t: "picture"; camera: string; jpeg: string }
   | TimelineFrame
