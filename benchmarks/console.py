@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import math
 import multiprocessing
 import os
 import socket
@@ -37,6 +38,7 @@ from fullswarm.runtime import Mailbox, Runtime
 TARGET = 0.10
 SEEN = 0.001
 STATE_HZ, HEALTH_HZ, BEAT_HZ = 20.0, 2.0, 10.0
+MOST_HOSTS, PER_HOST = 100, 50
 SETTLE_S = 1.5
 START_S = 60.0  # generous: the machine may have other work
 
@@ -55,13 +57,15 @@ class Row:
 
 
 class Swarm:
-    """Robots that only talk: each a host of its own, as on a real swarm."""
+    """Robots that only talk: each a host of its own, as on a real swarm; of more than 100, 50 are one host's."""
 
     def __init__(self, robots: int, hub: str) -> None:
         self.runtime = Runtime(MonotonicClock(), Mailbox())
         self._bus, self._keys = ZenohBus(self.runtime.mailbox, hub=hub), Keys("console-bench")
         self._bus.wait_connected(START_S)
-        self._names = [f"r{number}" for number in range(robots)]
+        each = 1 if robots <= MOST_HOSTS else PER_HOST
+        self._hosts = [range(first, min(first + each, robots)) for first in range(0, robots, each)]
+        self._side = max(10, math.ceil(math.sqrt(robots)))
         self._sequence = 0
         self.runtime.every(1.0 / STATE_HZ, self._states)
         self.runtime.every(1.0 / HEALTH_HZ, self._health)
@@ -70,23 +74,30 @@ class Swarm:
     def _states(self) -> None:
         self._sequence += 1
         now_s = self.runtime.now_s()
-        for number, robot in enumerate(self._names):
-            moved = (now_s * 0.3 + number) % 10.0
+        side = self._side
+        for numbers in self._hosts:
+            host, count = f"r{numbers[0]}", len(numbers)
             message = RobotStates(
-                host=robot, sequence=self._sequence, stamp_s=now_s, robots=(robot,), x_m=(moved,),
-                y_m=(float(number % 10),), heading_rad=(0.1 * number,), speed_m_s=(0.3,), turn_rad_s=(0.0,),
-                radius_m=(0.17,),
+                host=host, sequence=self._sequence, stamp_s=now_s, robots=tuple(f"r{each}" for each in numbers),
+                x_m=tuple((now_s * 0.3 + each // side) % side for each in numbers),
+                y_m=tuple(float(each % side) for each in numbers),
+                heading_rad=tuple(math.remainder(0.1 * each, 2.0 * math.pi) for each in numbers),
+                speed_m_s=(0.3,) * count, turn_rad_s=(0.0,) * count, radius_m=(0.17,) * count,
             )  # fmt: skip
-            self._bus.publish(self._keys.state("all", robot), message)
+            self._bus.publish(self._keys.state("all", host), message)
 
     def _health(self) -> None:
-        for robot in self._names:
-            health = RobotHealth(
-                robot=robot, driver=f"sim://{robot}", make="sim", model="disc", firmware="1", lifecycle="ACTIVE",
-                behaviour="flocking_bc", request_id="0123456789ab", moving=True, battery=0.8, pose_source="driver",
+        for numbers in self._hosts:
+            healths = tuple(
+                RobotHealth(
+                    robot=f"r{each}", driver=f"sim://r{each}", make="sim", model="disc", firmware="1",
+                    lifecycle="ACTIVE", behaviour="flocking_bc", request_id="0123456789ab", moving=True, battery=0.8,
+                    pose_source="driver",
+                )
+                for each in numbers
             )  # fmt: skip
-            message = HealthReport(host=robot, process="p", version="0.1.0", robots=(health,))
-            self._bus.publish(self._keys.health(robot), message)
+            message = HealthReport(host=f"r{numbers[0]}", process="p", version="0.1.0", robots=healths)
+            self._bus.publish(self._keys.health(f"r{numbers[0]}"), message)
 
     def _beat(self) -> None:
         self._bus.publish(self._keys.heartbeat("core"), Heartbeat(node="core", process="core-1", sequence=1))
