@@ -7,6 +7,7 @@ import { ServerClock, Track } from "./tracks.js";
 
 /** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, World } from "./types.d.ts" */
 
+const COUNTED = new Intl.Collator("en", { numeric: true }); // ten times as fast as localeCompare
 const LOG_KEPT = 500;
 const CHART_KEPT = 1200;
 
@@ -288,5 +289,5 @@ export class Store extends Emitter {
  * @param {string} b
  */
 export function byNumber(a, b) {
-  return a.localeCompare(b, "en", { numeric: true });
+  return COUNTED.compare(a, b);
 }

@@ -37,12 +37,18 @@ export class TimeBar {
     past.on("mode", (live) => this.#mode(live));
     past.on("change", () => this.#later());
     this.#listen();
-    new ResizeObserver(() => this.#drawTicks()).observe(this.slider);
+    new ResizeObserver(() => this.#measure()).observe(this.slider);
     setInterval(() => this.#show(), SHOW_MS);
   }
 
   #dirty = true;
   #due = false;
+  #width = 0; // of the ticks: reading it each time would lay the page out anew
+
+  #measure() {
+    this.#width = this.ticks.clientWidth;
+    this.#drawTicks();
+  }
 
   /** Go from live to the past and back. */
   live() {
@@ -189,7 +195,7 @@ export class TimeBar {
    * @param {number} length_s
    */
   #place(length_s) {
-    const width = this.ticks.clientWidth;
+    const width = this.#width;
     if (!width || (!this.#dirty && !this.past.live && !this.past.span?.recording)) return;
     this.#dirty = false;
     const events = [...this.events, ...this.marks].sort((one, other) => one.at - other.at);
