@@ -122,9 +122,14 @@ def _brief(health: RobotHealth) -> str:
 
 
 def ended_text(row: RobotRow) -> str:
-    """Return how the newest behaviour of a robot has ended, if that was intended; empty: otherwise, or it runs one."""
+    """Return how the newest behaviour of a robot has ended, if that was intended; empty: otherwise, or it runs one.
+
+    A robot keeps the behaviour of a stick after the stick was released, and stands.
+    """
     health = row.health
-    if health is None or row.silent or health.behaviour or health.estop or health.stop_code in CHARGES:
+    if health is None or row.silent or health.estop or health.fault or health.stop_code in CHARGES:
+        return ""
+    if health.behaviour and health.stop_code != Code.EXPIRED:
         return ""
     return BRIEF.get(health.stop_code, "") if health.stop_code in DELIBERATE else ""
 

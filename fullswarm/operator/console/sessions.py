@@ -157,6 +157,8 @@ class OperatorSession:
         if isinstance(command, frames.Study):
             reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"
             return Answer(ref=ref, ok=not reason, reason=reason)
+        if desk is not None and isinstance(command, frames.Undo | frames.Group):
+            return Answer(ref=ref, ok=False, reason=IN_STUDY)
         if desk is not None and (reason := desk.refusal(command)):
             return Answer(ref=ref, ok=False, reason=reason)
         answer = self._carry_out(command, listener)
@@ -218,7 +220,7 @@ class OperatorSession:
             command.behaviour, command.robots, command.parameters, self._holding(command.robots, accepted),
             take=command.take, team=command.team, needs=command.needs, roles=command.roles,
         )  # fmt: skip
-        if not self._context.world.expires(command.behaviour):
+        if self._context.study is None and not self._context.world.expires(command.behaviour):
             self.undo.sent(pending.request.id)
         return Answer(ref=command.ref, request_id=pending.request.id)
 

@@ -60,12 +60,12 @@ class UndoPlan:
         self._known = known
         self._id = self._behaviour = ""
         self._before: dict[str, str] = {}  # robot → id of the request that it ran; empty: none
-        self._sent: dict[str, dict[str, str]] = {}  # requests that the core has not accepted yet
+        self._orders: dict[str, str] = {}  # robot → id of its order then, of a stop or a stick, too
+        self._sent: dict[str, dict[str, Mapping[str, Any]]] = {}  # not accepted yet → the orders when it was sent
 
     def sent(self, request_id: str) -> None:
         """Note that a request goes out: what runs now is what ran before it."""
-        before = {robot: self._to_repeat(order) for robot, order in self._known.orders().items()}
-        self._sent = {request_id: before}  # an earlier one without an answer can no longer be undone
+        self._sent = {request_id: dict(self._known.orders())}  # one without an answer can no longer be undone
 
     def _to_repeat(self, order: Mapping[str, Any]) -> str:
         """Return the id of the request that an order came from; empty for a stop or a stick: nothing to repeat."""
@@ -78,7 +78,9 @@ class UndoPlan:
         if before is None:
             return
         self._id, self._behaviour = request_id, behaviour
-        self._before = {robot: before.get(robot, "") for robot in robots}
+        orders = {robot: before.get(robot, {}) for robot in robots}
+        self._before = {robot: self._to_repeat(order) for robot, order in orders.items()}
+        self._orders = {robot: str(order.get("request_id", "")) for robot, order in orders.items()}
 
     def stopped(self, robots: Iterable[str]) -> None:
         """Forget the newest request if a stop concerns its robots (none: all): undoing it would start them again."""
@@ -88,7 +90,7 @@ class UndoPlan:
 
     def clear(self) -> None:
         """Forget the newest request."""
-        self._id, self._before, self._sent = "", {}, {}
+        self._id, self._before, self._orders, self._sent = "", {}, {}, {}
 
     @property
     def id(self) -> str:
@@ -108,7 +110,7 @@ class UndoPlan:
         orders = self._known.orders()
         # What ran before counts as well: the orders come a little later than the answer to the request.
         other = [
-            robot for robot, before in self._before.items()
+            robot for robot, before in self._orders.items()
             if str(orders.get(robot, {}).get("request_id", self._id)) not in (self._id, before)
         ]  # fmt: skip
         if other:

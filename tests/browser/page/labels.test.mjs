@@ -16,7 +16,7 @@ function* numbers() {
 function swarm(count, reach = 14) {
   const random = numbers();
   const discs = Array.from({ length: count }, () => ({ x: 40 + 520 * random.next().value, y: 40 + 520 * random.next().value, reach }));
-  const labels = discs.map(({ x, y }, k) => ({ key: `r${k}`, rank: k % 3, x, y, reach, width: 38, height: 22, left: 0, top: 0, shown: false }));
+  const labels = discs.map(({ x, y }, k) => ({ key: `r${k}`, rank: k % 3, x, y, reach, width: 38, height: 22, left: 0, top: 0, gap: 0, far: false, shown: false }));
   return { discs, labels };
 }
 
@@ -59,7 +59,7 @@ test("the same robots give the same picture, in whatever order they come", () =>
 
 test("a label keeps its side while there is room for it", () => {
   const layout = new LabelLayout();
-  const label = { key: "r1", rank: 0, x: 100, y: 100, reach: 10, width: 30, height: 20, left: 0, top: 0, shown: false };
+  const label = { key: "r1", rank: 0, x: 100, y: 100, reach: 10, width: 30, height: 20, left: 0, top: 0, gap: 0, far: false, shown: false };
   const neighbour = { x: 125, y: 80, reach: 12 };
   layout.place([label], [{ x: 100, y: 100, reach: 10 }, neighbour], 2, VIEW);
   const side = Math.sign(label.top - 90);
@@ -69,7 +69,7 @@ test("a label keeps its side while there is room for it", () => {
 });
 
 test("where there is no room at all, what matters most is shown", () => {
-  const make = (key, rank) => ({ key, rank, x: 20, y: 20, reach: 10, width: 26, height: 20, left: 0, top: 0, shown: false });
+  const make = (key, rank) => ({ key, rank, x: 20, y: 20, reach: 10, width: 26, height: 20, left: 0, top: 0, gap: 0, far: false, shown: false });
   const labels = [make("calm", 3), make("alarm", 1)];
   new LabelLayout().place(labels, [{ x: 20, y: 20, reach: 10 }], 1, { width: 60, height: 42 });
   assert.deepEqual(labels.filter(({ shown }) => shown).map(({ key }) => key), ["alarm"]);

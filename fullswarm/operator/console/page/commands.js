@@ -181,6 +181,7 @@ export class Commands extends Emitter {
    * @returns {Promise<Answer>}
    */
   async group(op, name, robots) {
+    if (this.withheld) return { ok: false, reason: this.withheld };
     const answer = await this.link.ask({ t: "group", op, name, robots });
     if (!answer.ok) this.emit("refused", { behaviour: `group ${name}`, reason: answer.reason });
     return answer;

@@ -61,7 +61,7 @@ export function sections({ robot, detail, lease, behaviours, filter }) {
  */
 function state(robot, lease) {
   const { state_word: word = "no health report", state_why: why = "", advice = "", battery, contacts = 0, collisions = 0 } = robot;
-  const rows = /** @type {Section["rows"]} */ ([["state", robot.ended ? `${word}, ${robot.ended}` : word]]);
+  const rows = /** @type {Section["rows"]} */ ([["state", word]]);
   if (why) rows.push(["because", why]);
   if (advice) rows.push(["what to do", advice]);
   rows.push(["battery", typeof battery === "number" ? `${Math.round(100 * battery)} %` : "not reported"]);
@@ -78,7 +78,7 @@ function state(robot, lease) {
  * @returns {Section["rows"]}
  */
 function runs(robot, detail, behaviours) {
-  if (!robot.behaviour) return [["behaviour", "none"]];
+  if (!robot.behaviour || robot.ended) return [["behaviour", robot.ended ? `none: ${robot.ended}` : "none"]];
   const order = detail?.order;
   const rows = /** @type {Section["rows"]} */ ([["behaviour", titleOf(behaviours, robot.behaviour)]]);
   if (order?.operator) rows.push(["requested by", order.operator]);

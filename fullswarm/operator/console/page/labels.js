@@ -2,15 +2,18 @@
  * Where labels go: beside their robots, never over a robot or another label. Deterministic and pure; CSS pixels.
  *
  * Greedy: labels are placed one after the other, those that matter most first. Each tries the place it had before, so
- * that it does not jump from side to side, then the eight directions near its robot, then the same farther away. A label
- * that fits nowhere is not shown.
+ * that it does not jump from side to side, then the eight directions near its robot, then the same farther away: those
+ * that matter go farthest, with a line to their robots. A label that fits nowhere is not shown.
  */
 
 /** Directions around a robot, the preferred first: x and y of the label's nearest corner or edge, in units of reach. */
 const DIRECTIONS = [[0.71, -0.71], [0.71, 0.71], [1, 0], [-0.71, -0.71], [-0.71, 0.71], [-1, 0], [0, -1], [0, 1]];
-const GAPS_PX = [3, 14, 28];
+const GAPS_PX = [3, 14, 28, 52, 80];
+const NEAR_GAPS = 3; // only labels that matter go farther
+export const LINE_FROM_PX = 20; // a label with a larger gap has a line to its robot
 const FARTHEST_PX = Math.max(...GAPS_PX);
 const PLACES = DIRECTIONS.length * GAPS_PX.length;
+const NEAR_PLACES = DIRECTIONS.length * NEAR_GAPS;
 
 /**
  * How much a map shows of each robot, by its radius on the screen: "all" its label in words, "ids" its id alone,
@@ -26,9 +29,9 @@ export function levelOfDetail(radius_px) {
 /**
  * @typedef {{x: number, y: number, reach: number}} Disc  a robot's body, or a mark beside it
  * @typedef {{key: string, rank: number, x: number, y: number, reach: number, width: number, height: number,
- *   left: number, top: number, shown: boolean}} Label
- *   key: the same from frame to frame; rank: the least is placed first; x, y, reach: its robot; left, top, shown: the
- *   outcome
+ *   left: number, top: number, gap: number, far: boolean, shown: boolean}} Label
+ *   key: the same from frame to frame; rank: the least is placed first; x, y, reach: its robot; far: it may go far; left,
+ *   top, gap, shown: the outcome
  */
 
 export class LabelLayout {
@@ -48,10 +51,11 @@ export class LabelLayout {
     labels.sort(before);
     this.#taken.length = 0;
     for (const label of labels) {
-      const first = this.#chosen.get(label.key) ?? 0;
+      const places = label.far ? PLACES : NEAR_PLACES;
+      const first = Math.min(this.#chosen.get(label.key) ?? 0, places - 1);
       this.#look(label, discs, discCount);
       label.shown = this.#fits(label, first, view);
-      for (let k = 0; k < PLACES && !label.shown; k += 1) {
+      for (let k = 0; k < places && !label.shown; k += 1) {
         if (k !== first && this.#fits(label, k, view)) {
           label.shown = true;
           this.#chosen.set(label.key, k);
@@ -90,7 +94,8 @@ export class LabelLayout {
    */
   #fits(label, place, view) {
     const [dx, dy] = DIRECTIONS[place % DIRECTIONS.length];
-    const away = label.reach + GAPS_PX[Math.floor(place / DIRECTIONS.length)];
+    label.gap = GAPS_PX[Math.floor(place / DIRECTIONS.length)];
+    const away = label.reach + label.gap;
     label.left = label.x + dx * away - (dx > 0 ? 0 : dx < 0 ? label.width : label.width / 2);
     label.top = label.y + dy * away - (dy > 0 ? 0 : dy < 0 ? label.height : label.height / 2);
     const [right, bottom] = [label.left + label.width, label.top + label.height];

@@ -1,6 +1,6 @@
 /** Draws what moves: robots with their state, goals, the filter's arrows, sensing radii. CSS pixels. */
 
-import { LabelLayout, levelOfDetail } from "./labels.js";
+import { LINE_FROM_PX, LabelLayout, levelOfDetail } from "./labels.js";
 import { seconds } from "./link.js";
 import { actuatorText, kindOf, lampColour } from "./palette.js";
 import { outline } from "./sprites.js";
@@ -187,7 +187,7 @@ export class RobotLayer {
     const reach = robot.radius_px + (robot.info.estop ? STOP_SIGN_PX : bold ? RING_PX : 1);
     Object.assign(text, {
       key: robot.id + part, rank, x: robot.px, y: robot.py, reach, width: sprite.width / dpr, height: sprite.height / dpr,
-      left: 0, top: 0, shown: false, words, size, ink, bold,
+      left: 0, top: 0, gap: 0, far: rank <= RANK.alarm, shown: false, words, size, ink, bold,
     });
     this.labels.push(text);
   }
@@ -208,7 +208,18 @@ function labelWords({ id, info, kind }, mixed) {
  * @param {Scene} scene
  * @param {Text} text
  */
-function drawText({ context, sprites, colours, dpr }, { words, size, ink, bold, left, top, width, height }) {
+function drawText({ context, sprites, colours, dpr }, text) {
+  const { words, size, ink, bold, left, top, width, height, x, y, reach, gap } = text;
+  if (gap > LINE_FROM_PX) {
+    const [dx, dy] = [Math.max(left, Math.min(x, left + width)) - x, Math.max(top, Math.min(y, top + height)) - y];
+    const share = reach / Math.max(reach, Math.hypot(dx, dy));
+    context.strokeStyle = ink;
+    context.lineWidth = 1;
+    context.beginPath();
+    context.moveTo(x + share * dx, y + share * dy);
+    context.lineTo(x + dx, y + dy);
+    context.stroke();
+  }
   const sprite = sprites.text(words, { size: Math.round(size * dpr), ink, halo: colours.halo, bold });
   context.drawImage(sprite, left, top, width, height);
 }

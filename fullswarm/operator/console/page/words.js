@@ -25,7 +25,7 @@ export function fleetWords(fleet) {
   for (const robot of fleet) {
     all += 1;
     if (robot.silent) silent += 1;
-    else if (robot.behaviour && robot.behaviour !== STOP) active += 1;
+    else if (robot.behaviour && robot.behaviour !== STOP && !robot.ended) active += 1;
     if (!robot.silent && robot.moving) moving += 1;
   }
   if (all === 0) return "no robots";
