@@ -116,7 +116,7 @@ def test_the_details_of_a_robot_are_those_on_the_bus_and_in_the_address(
     observer.until(lambda: not observer.stand(["r4"]), 10.0, "it drives")
     calm.named("details-r4").click()
     expect(calm.named("detail-title")).to_be_focused()
-    facts = calm.named("detail-facts")
+    facts = calm.named("detail")
     health = observer.fresh().healths(["r4"])[0]
     for words in (health.driver, f"{health.make}, {health.model}", "Move to goal", "5, 8.5 m", "you"):
         expect(facts).to_contain_text(words)

@@ -23,7 +23,7 @@ def lines(why: Reason) -> list[str]:
 
 def test_what_beat_a_request_is_named() -> None:
     assert lines(reason(Code.SUPERSEDED, by="b2"))[-1] == "flocking_bc replaced by rendezvous_bc of bob"
-    assert lines(reason(Code.SUPERSEDED, by="c3"))[-1] == "flocking_bc replaced by the e-stop of carl"
+    assert lines(reason(Code.SUPERSEDED, by="c3"))[-1] == "flocking_bc ended by the e-stop of carl"
 
 
 def test_a_request_that_was_not_received_is_shown_without_its_id() -> None:

@@ -101,6 +101,7 @@ class RequestRecord:
     robots: tuple[str, ...]
     intent: bool
     behaviour: str = ""
+    halts: bool = False  # a stop or an e-stop
 
 
 @dataclass(slots=True)
@@ -175,7 +176,7 @@ class RequestLog:
 
     def add_stop(self, order_id: str, act: str, operator: str) -> None:
         """Note a stop or an e-stop, which ends requests by its id."""
-        self._requests[order_id] = RequestRecord(operator, (), False, act)
+        self._requests[order_id] = RequestRecord(operator, (), False, act, halts=True)
         _bound(self._requests)
 
     def operator_of(self, request_id: str) -> str:
@@ -219,6 +220,8 @@ class RequestLog:
         record = self._requests.get(status.parameters.get("by", ""))
         if record is None:
             return "replaced by another request"
+        if record.halts:
+            return f"ended by {record.behaviour} of {record.operator}"
         return f"replaced by {self._title(record.behaviour)} of {record.operator}"
 
     def _log(self, status: RequestStatus, operator: str, now_s: float) -> None:

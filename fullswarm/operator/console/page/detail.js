@@ -4,6 +4,7 @@
  */
 
 import uPlot from "./uplot.js";
+import { needsAttention } from "./attention.js";
 import { byId, make, setText } from "./dom.js";
 import { sections } from "./facts.js";
 import { titleOf } from "./words.js";
@@ -116,8 +117,10 @@ export class DetailPane {
     });
     byId("detail-unknown").hidden = known;
     byId("detail-body").hidden = !known;
-    byId("detail-facts").classList.toggle("attention", Boolean(robot.attention || robot.silent));
-    renew(byId("detail-facts"), JSON.stringify(words), () => words.map(section));
+    const [first, ...others] = words;
+    byId("detail-state").classList.toggle("attention", needsAttention(robot));
+    renew(byId("detail-state"), JSON.stringify(first), () => [section(first)]);
+    renew(byId("detail-facts"), JSON.stringify(others), () => others.map(section));
     const { messages = [], requests = [] } = this.#detail ?? {};
     renew(byId("detail-requests"), JSON.stringify(requests), () => requests.map((each) => {
       const outcome = `${each.outcome}${each.reason ? `: ${each.reason}` : ""}`;

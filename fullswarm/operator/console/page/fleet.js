@@ -162,7 +162,7 @@ export class FleetTable {
     setText(row.state, `${alert ? "⚠ " : ""}${info.state_word ?? "no health report"}`);
     row.state.title = alert ? troubleText(info) : (info.state ?? "");
     const parts = actuatorText(info);
-    const does = info.ended ? `no behaviour, ${info.ended}` : titleOf(this.store.behaviours, info.behaviour) || "no behaviour";
+    const does = info.ended || titleOf(this.store.behaviours, info.behaviour) || "no behaviour";
     setText(row.behaviour, [alert ? info.brief : "", does, parts].filter(Boolean).join(" · "));
     row.behaviour.title = [does, parts, info.memory && `remembers ${info.memory}`].filter(Boolean).join("\n");
     setText(row.battery, typeof info.battery === "number" && info.battery >= 0 ? `${Math.round(100 * info.battery)} %` : "– %");
