@@ -24,8 +24,6 @@ _HIDDEN = frozenset({"cells", "robots", "elapsed_s"})
 _WORDS = {
     "deadlock_count": "blocked and stepped aside {:.0f} times",
     "sidestep_s": "{:.0f} s spent on stepping aside",
-    "total_m": "{:.1f} m driven by all",
-    "events": "{:.0f} contacts",
 }
 """Values of summaries whose names say little to people."""
 _TRUTH = "truth_"
