@@ -215,6 +215,8 @@ class RequestLog:
 
     def readable(self, status: RequestStatus) -> str:
         """Return the reason for the page, with behaviour and operator of another request in place of its id."""
+        if status.code == Code.PARAMETERS:
+            return status.parameters.get("problems", status.reason)  # the form lists all parameters
         if status.code not in SUPERSEDED:
             return for_page(status)
         record = self._requests.get(status.parameters.get("by", ""))

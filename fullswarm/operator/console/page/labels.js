@@ -13,6 +13,7 @@ const NEAR_GAPS = 3; // only labels that matter go farther
 export const LINE_FROM_PX = 20; // a label with a larger gap has a line to its robot
 const FARTHEST_PX = Math.max(...GAPS_PX);
 const PLACES = DIRECTIONS.length * GAPS_PX.length;
+const STEADY_PLACES = DIRECTIONS.length * GAPS_PX.filter((gap) => gap <= LINE_FROM_PX).length;
 const NEAR_PLACES = DIRECTIONS.length * NEAR_GAPS;
 
 /**
@@ -48,11 +49,12 @@ export class LabelLayout {
    * @param {{width: number, height: number}} view
    */
   place(labels, discs, discCount, view) {
-    labels.sort(before);
+    labels.sort(byRank);
     this.#taken.length = 0;
     for (const label of labels) {
       const places = label.far ? PLACES : NEAR_PLACES;
-      const first = Math.min(this.#chosen.get(label.key) ?? 0, places - 1);
+      const before = this.#chosen.get(label.key) ?? 0;
+      const first = before < STEADY_PLACES ? before : 0; // a line to the robot only as long as it is needed
       this.#look(label, discs, discCount);
       label.shown = this.#fits(label, first, view);
       for (let k = 0; k < places && !label.shown; k += 1) {
@@ -118,6 +120,6 @@ export class LabelLayout {
  * @param {Label} a
  * @param {Label} b
  */
-function before(a, b) {
+function byRank(a, b) {
   return a.rank - b.rank || (a.key < b.key ? -1 : a.key > b.key ? 1 : 0);
 }

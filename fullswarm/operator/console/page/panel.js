@@ -159,11 +159,13 @@ export class Panel {
     const { behaviour, refused_by = [], code = "" } = status;
     if (this.store.behaviours[behaviour]?.expires_s) {
       if (refused_by.length) this.#remember(refused_by, code);
-      return; // a stick's progress is the robot's motion
+      return undefined; // a stick's progress is the robot's motion
     }
+    if (status.phase === "refused") return this.#noProgress(); // the refusal says it
     setText(byId("progress"), progressWords(status, titleOf(this.store.behaviours, behaviour)));
     this.#partly = refused_by.length > 0;
     if (this.#partly) this.#remember(refused_by, code);
+    return undefined;
   }
 
   /** @param {UndoFrame} frame */
