@@ -942,6 +942,8 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     heading_sigma_rad: KnownSigma = -1.0
     pose_note: str = ""  # fixes lost or refused, sources that contradict each other, a pose that jumped
     pose_sources: Annotated[tuple[PoseSource, ...], Meta(max_length=8)] = ()
+    command_m_s: Finite = 0.0  # what its driver was commanded last and took, along the heading
+    command_rad_s: Finite = 0.0
     deviation_m_s: Finite = 0.0  # present difference between allowed and desired velocity
     deviation_m: Finite = 0.0  # the same added up over time since the agent started
     filter_note: str = ""  # why the safety filter brakes: not merely limits
@@ -951,7 +953,7 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     halt: Halt | None = None  # None: it has started something since the newest stop
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/9"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/10"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str

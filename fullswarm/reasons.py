@@ -8,9 +8,9 @@ A reader that does not know a code shows the text.
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 
 class Code(enum.StrEnum):
@@ -49,7 +49,7 @@ class Code(enum.StrEnum):
     ESTOP_ENGAGED = "estop_engaged"  # by
     ESTOP_RELEASED = "estop_released"  # by
     DRIVER_FAILED = "driver_failed"  # fault
-    DRIVER_STOPPED = "driver_stopped"
+    DRIVER_STOPPED = "driver_stopped"  # cause
     CHARGE_WAITS = "charge_waits"
     CHARGE_GOING = "charge_going"  # dock
     CHARGE_DOCKING = "charge_docking"  # dock
@@ -94,7 +94,7 @@ class Code(enum.StrEnum):
 
 TEXTS: dict[Code, str] = {
     Code.NONE: "",
-    Code.ESTOP: "e-stop is latched; clear it with `fullswarm estop --clear`",
+    Code.ESTOP: "e-stop is latched",
     Code.DRIVER: "the driver is not ready",
     Code.READING: "sensor data is stale",
     Code.LAW: "law '{law}': {error}",
@@ -112,8 +112,7 @@ TEXTS: dict[Code, str] = {
     "origin = [latitude, longitude] into the fleet file; until then it can be driven by hand only",
     Code.FOREIGN_FRAME: "the position of '{host}' counts from where it was switched on: write [world] origin = "
     "[latitude, longitude] into its fleet file; until then robots can be driven by hand only",
-    Code.VERSION: "'{process}' runs fullswarm {software}, this one {own}, and their messages differ ({kinds}): update "
-    "the older one (a robot with `fullswarm update`); until then robots can be driven by hand only",
+    Code.VERSION: "'{process}' runs fullswarm {software}, this one {own}, and their messages differ ({kinds})",
     Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
     "it continues once that is back",
     Code.RANGES: "its range sensor is silent, so it does not see where it drives; it continues once scans come",
@@ -142,10 +141,10 @@ TEXTS: dict[Code, str] = {
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",
     Code.DRIVER_FAILED: "the driver failed: {fault}",
-    Code.DRIVER_STOPPED: "the robot has stopped by itself",
+    Code.DRIVER_STOPPED: "the robot has stopped by itself: {cause}",
     Code.ARRIVED: "{behaviour} has arrived: {text}",
     Code.FAILED: "{behaviour} has failed: {text}",
-    Code.ESTOP_LATCHED: "its e-stop is latched; clear it with `fullswarm estop --clear`",
+    Code.ESTOP_LATCHED: "its e-stop is latched",
     Code.VOIDED: "{why}; ask for it again",
     Code.SUPERSEDED: "superseded by {by}",
     Code.CAME_FIRST: "superseded by {by}, which came first",
@@ -157,6 +156,48 @@ TEXTS: dict[Code, str] = {
     Code.NOT_REPEATED: "the intent expired after {after_s} s without a repetition",
 }
 """The texts of this package; all others come with their codes from outside."""
+
+Reader = Literal["shell", "page"]
+
+
+class Advice(NamedTuple):
+    """What to do, for a reader at a shell and for one at the console's page, who has buttons and maybe no shell."""
+
+    shell: str
+    page: str
+
+
+_CLEAR = Advice("clear it with `fullswarm estop --clear`", "clear it with the button 'Clear the e-stop…'")
+_BY_HAND = "until then robots can be driven by hand only"
+ADVICE: dict[Code, Advice] = {
+    Code.ESTOP: _CLEAR,
+    Code.ESTOP_LATCHED: _CLEAR,
+    Code.VERSION: Advice(
+        f"update the older one (a robot with `fullswarm update`); {_BY_HAND}", f"update the older one; {_BY_HAND}"
+    ),
+}
+"""What follows a text of :data:`TEXTS`, where it depends on the reader. On the wire stands the one for a shell."""
+
+BRIEF: dict[str, str] = {
+    Code.SILENT: "waits for others", Code.ESTOP: "e-stop", Code.ESTOP_LATCHED: "e-stop",
+    Code.DRIVER: "driver not ready",
+    Code.READING: "no sensor data", Code.HAZARD: "hazard", Code.LAW: "behaviour failed", Code.HUB: "hub lost",
+    Code.CORE: "core silent", Code.STALE: "no commands", Code.BATTERY: "battery low", Code.CLOCK: "clock jumped",
+    Code.POSE: "no pose", Code.GEOFENCE: "edge of the arena", Code.OVERLAP: "two in one place",
+    Code.FRAME: "no common origin", Code.FOREIGN_FRAME: "no common origin", Code.VERSION: "other version",
+    Code.UNSURE: "pose uncertain", Code.RANGES: "range sensor silent", Code.FLOOD: "message flood",
+    Code.NO_WAY: "no way", Code.GOAL_CLOSED: "goal blocked", Code.DRIVER_FAILED: "driver failed",
+    Code.DRIVER_STOPPED: "stopped by itself", Code.FAILED: "behaviour failed", Code.CLIFF: "cliff",
+    Code.WHEEL_DROP: "wheel drop", Code.OVERCURRENT: "overcurrent", Code.CHARGER: "on its charger",
+    Code.MOTORS_OFF: "motors off", Code.POSITION: "no position", Code.PORT_HELD: "port in use",
+    Code.CHARGE_WAITS: "waits for a dock", Code.DOCKED: "not charged", Code.EXPIRED: "stick released",
+    Code.STOPPED: "stopped by an operator", Code.ESTOP_ENGAGED: "stopped by the e-stop",
+    Code.ESTOP_RELEASED: "e-stop cleared", Code.ARRIVED: "arrived", Code.HELD: "held by another operator",
+    Code.SUPERSEDED: "replaced", Code.CAME_FIRST: "replaced", Code.OTHER_CORE: "other core",
+    Code.VOIDED: "ask again", Code.UNFIT: "cannot take part", Code.TOO_SLOW: "too slow",
+    Code.SIMULATED_ONLY: "simulated robots only",
+}  # fmt: skip
+"""Codes in a word or two, where there is no room for their texts."""
 
 CHARGES = frozenset(
     {
@@ -205,7 +246,45 @@ def reason(code: Code, **parameters: str) -> Reason:
     KeyError
         The code has no text of its own, or a parameter of its text is missing.
     """
-    return Reason(code, TEXTS[code].format_map(parameters), parameters)
+    return Reason(code, _worded(code, parameters, "shell"), parameters)
+
+
+def _worded(code: Code, parameters: Mapping[str, str], reader: Reader) -> str:
+    text, advice = TEXTS[code].format_map(parameters), ADVICE.get(code)
+    return text if advice is None else f"{text}; {getattr(advice, reader)}"
+
+
+def worded(why: Reason, reader: Reader, robots: Sequence[str] = ()) -> str:
+    """Return a reason as it is on the wire for a reader, with the advice of its code that is meant for that reader.
+
+    Parameters
+    ----------
+    robots : those that it concerns, if its text names them; the reason of several robots names its own
+    """
+    if why.code == Code.SEVERAL:
+        return _several(why, reader)
+    try:
+        text = _worded(Code(why.code), why.parameters, reader) if why.code in ADVICE else why.text
+    except (KeyError, ValueError):  # a newer version has other parameters: its text says them
+        return why.text
+    return f"{', '.join(robots)}: {text}" if robots and why.code in ADVICE else text
+
+
+def _several(why: Reason, reader: Reader) -> str:
+    """Return the reason of robots that refuse for different ones; their texts are joined, so codes say it anew."""
+    if not any(code in ADVICE for code in why.parameters.values()):
+        return why.text
+    robots: dict[str, list[str]] = {}
+    for robot, code in why.parameters.items():
+        robots.setdefault(code, []).append(robot)
+    return "; ".join(
+        f"{', '.join(names)}: {_brief(code)}" if code not in ADVICE else worded(Reason(code), reader, names)
+        for code, names in robots.items()
+    )
+
+
+def _brief(code: str) -> str:
+    return BRIEF.get(code, "refused")
 
 
 def given(text: str, code: str = "", parameters: Mapping[str, str] = NOTHING) -> Reason:

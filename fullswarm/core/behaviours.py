@@ -70,6 +70,7 @@ class Record(Section):
 
     name: str
     summary: str
+    title: str = ""  # for people, in a few words; empty: made of the name
     law: str = ""  # module of the control law; empty: nothing runs, the robot stands
     centralised: bool = False
     filtered: bool = False  # behind the safety filter (`_bc`)

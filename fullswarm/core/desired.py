@@ -36,6 +36,8 @@ KNOWN_HALTS = 4
 IDLE = ("", "stop")
 """Behaviours that mean: nothing is enabled."""
 
+NO_TASK = "it reports neither the task that it had confirmed nor a reason; see its agent's log"
+
 
 class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What one robot must run; also the form stored in the local database."""
@@ -215,7 +217,7 @@ class Desired:
         if not running and not order.enables_nothing and (order.adopted or self.settled):
             if not restarted:
                 why = given(health.stop_reason, health.stop_code, health.stop_parameters)
-                return why or reason(Code.DRIVER_STOPPED)
+                return why or given(health.fault, health.fault_code) or reason(Code.DRIVER_STOPPED, cause=NO_TASK)
             if order.adopted:
                 return given("the robot was restarted, and the core has lost the parameters by its own restart")
         self._observe(running)

@@ -45,13 +45,17 @@ class ParamClient:
         key: str,
         on_reply: Callable[[ParamReply], None],
         value: Stored = None,
+        *,
+        author: str = "",
     ) -> Callable[[], None]:
         """Send a question until it is answered, ever more seldom; `on_reply` is called once. Returns what withdraws it.
+
+        `author` is noted with what it sets; empty: that of this client.
 
         The first repetitions come 0.2 s, 0.4 s and 0.8 s apart, the others a second, and a little later by chance: a
         database that is slow to answer must not be asked more and more.
         """
-        question = ParamRequest(id=self._new_id(), op=op, key=key, value=value, author=self._author)
+        question = ParamRequest(id=self._new_id(), op=op, key=key, value=value, author=author or self._author)
 
         timer: Timer | None = None
 

@@ -21,6 +21,11 @@ _LEAST = frozenset({"head °", "age s"})
 """Columns left out for the holders of the robots."""
 _HIDDEN = frozenset({"cells", "robots", "elapsed_s"})
 """Values of a summary that the table or the same line shows in another form."""
+_WORDS = {
+    "deadlock_count": "blocked and stepped aside {:.0f} times",
+    "sidestep_s": "{:.0f} s spent on stepping aside",
+}
+"""Values of summaries whose names say little to people."""
 _TRUTH = "truth_"
 """The same values as measured by a supervisory process: for results and --json."""
 _FIRST = ("work", "coverage", "collisions")
@@ -175,6 +180,8 @@ def _is_nought(name: str, value: float) -> bool:
 
 
 def _quantity(name: str, value: float, whole: str) -> str:
+    if name in _WORDS:
+        return _WORDS[name].format(value)
     for ending, unit in UNITS.items():
         if name.endswith(ending):
             return f"{name.removesuffix(ending).replace('_', ' ')} {value:.2f} {unit}"

@@ -30,7 +30,7 @@ def test_the_page_shows_eight_moving_robots(console: Console, observer: Observer
     shown, true = console.places(), observer.fresh().places()
     assert all(far(shown[robot], true[robot]) < 0.5 for robot in ROBOTS), "what the page shows is where they are"
     for robot in ROBOTS:
-        expect(console.named(f"robot-row-{robot}")).to_contain_text("move_to_goal_bc")
+        expect(console.named(f"robot-row-{robot}")).to_contain_text("Move to goal")
 
 
 def test_the_first_order_ends_the_show(console: Console, demo: Demo) -> None:

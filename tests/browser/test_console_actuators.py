@@ -61,8 +61,8 @@ def test_the_page_shows_what_robots_do_with_lamp_and_gripper(
     expect(row).not_to_contain_text("lamp")
     lab.until(lab.ready, "the robots are ready")
     console.start("glide")
-    expect(row).to_contain_text("glide · lamp red", timeout=TIMEOUT_MS)
-    expect(other).to_contain_text("glide · gripper closed")
+    expect(row).to_contain_text("Glide · lamp red", timeout=TIMEOUT_MS)
+    expect(other).to_contain_text("Glide · gripper closed")
 
     def drawn(robot: str, colour: tuple[int, int, int]) -> bool:
         at = console.at(*console.places()[robot])

@@ -122,7 +122,7 @@ def test_the_dead_man_drives_the_selection_and_letting_go_stops_it(calm: Console
     assert took_s < LEFT_BEHIND_S + SLACK_S
     observer.rest(0.5)
     assert observer.stand(), "although the stick is still pushed"
-    expect(calm.named("driving")).to_contain_text("not driving")
+    expect(calm.named("driving")).to_contain_text("gamepad ready, hold LB")
 
 
 def test_a_pad_that_is_unplugged_stops_it(calm: Console, pad: Pad, observer: Observer) -> None:

@@ -211,7 +211,7 @@ def test_requests_and_stops_are_sent_under_the_tokens_name(tmp_path: Path) -> No
         assert (await lab.ask("/requests/" + sent["request_id"], role="driver"))["behaviour"] == "move_to_goal_bc"
         await lab.refused(404, "/requests/" + sent["request_id"])  # another program's
         lines = (await lab.ask("/log"))["lines"]
-        assert any(line["by"] == "api/driver" and "move_to_goal_bc" in line["text"] for line in lines)
+        assert any(line["by"] == "api/driver" and "Move to goal" in line["text"] for line in lines)
         assert any("api/driver" in line["text"] and line["kind"] == "stop" for line in lines)
 
     run(tmp_path, story)

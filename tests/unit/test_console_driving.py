@@ -178,8 +178,8 @@ def test_a_stream_is_one_line_of_the_log_and_a_refusal_one_frame(bench: ConsoleB
     for each in bench.requests():
         bench.status(each.id, "refused", behaviour="drive_bc", reason="r1 is held by bert")
     bench.run(0.1)
-    assert page.log("request") == [f"{session.name}: drive_bc for r1"]
-    assert page.log("refused") == ["drive_bc refused: r1 is held by bert"]
+    assert page.log("request") == [f"{session.name}: Drive for r1"]
+    assert page.log("refused") == ["Drive refused: r1 is held by bert"]
     assert len(page.all("request")) == 1
 
 

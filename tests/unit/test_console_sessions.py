@@ -40,7 +40,7 @@ def test_a_request_is_sent_to_all_but_is_mine_only_to_one(bench: ConsoleBench) -
     assert not bert.last("request")["mine"]
     assert bert.last("request")["operator"] == "console anna@base sess"
     assert bert.log("request") == [
-        "console anna@base sess: move_to_goal_bc for r1", "move_to_goal_bc runs on 1 of 1",
+        "console anna@base sess: Move to goal for r1", "Move to goal runs on 1 of 1",
     ]  # fmt: skip
     assert [frame["entry"]["mine"] for frame in anna.all("log")] == [True, True]
 

@@ -14,7 +14,7 @@ from fullswarm.clock import SimClock
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, Heartbeat, Lease, Leases, RequestStatus, RobotHealth, RobotStates, Summary
 from fullswarm.operator.render import fleet_table, footer_lines
-from fullswarm.operator.robot_state import row_state
+from fullswarm.operator.robot_state import advise, ended_text, row_state
 from fullswarm.operator.view import FleetView, NodeRow, RobotRow, Snapshot
 from fullswarm.reasons import Code, reason
 from fullswarm.runtime import Runtime
@@ -280,6 +280,43 @@ def test_repeated_values_are_not_shown_and_a_share_is_labelled() -> None:
         "work: total 2.00 m",
         "arrival: 75.0% of the robots",
     ]
+
+
+def test_what_says_little_by_its_name_is_said_in_words() -> None:
+    summaries = (Summary(metric="coordination", values={"deadlock_count": 15.0, "sidestep_s": 27.75}),)
+    (line,) = footer_lines(Snapshot("lab", True, summaries=summaries))
+    assert line == "coordination: blocked and stepped aside 15 times, 28 s spent on stepping aside"
+
+
+@pytest.mark.parametrize(
+    ("code", "behaviour", "words"),
+    [
+        (Code.EXPIRED, "drive_bc", "stick released"), (Code.EXPIRED, "", "stick released"),
+        (Code.STOPPED, "", "stopped by an operator"), (Code.ESTOP_RELEASED, "", "e-stop cleared"),
+        (Code.ARRIVED, "", "arrived"),
+    ],
+)  # fmt: skip
+def test_what_ended_as_intended_is_no_alarm(code: Code, behaviour: str, words: str) -> None:
+    seen = row("r1", behaviour=behaviour, stop_code=code, stop_reason="whatever it says")
+    state = row_state(seen, "page")
+    assert (state.attention, state.brief) == (False, "")
+    assert ended_text(seen) == words
+    assert advise(seen, "page") == ""
+
+
+def test_trouble_has_a_word_and_an_advice_for_its_reader() -> None:
+    cliff = row("r1", fault="the cliff sensor sees no floor", fault_code=Code.CLIFF)
+    hazard = row("r1", stop_code=Code.HAZARD, stop_reason="x", stop_parameters={"hazards": "wheel_drop"})
+    silent = replace(row("r1"), age_s=9.0)
+    assert [row_state(each, "page").brief for each in (cliff, hazard, silent)] == ["cliff", "wheel drop", "silent"]
+    assert ended_text(cliff) == ended_text(silent) == ""
+    waits = row("r1", stop_code=Code.CHARGE_WAITS, stop_reason="waits")
+    assert "`fullswarm docks`" in advise(waits)
+    assert "`" not in advise(waits, "page")
+    newer = reason(Code.VERSION, process="r2", software="2", own="1", kinds="A/1")
+    stands = row("r1", stop_code=newer.code, stop_reason=newer.text, stop_parameters=dict(newer.parameters))
+    assert "`" in row_state(stands).why
+    assert "`" not in row_state(stands, "page").why
 
 
 def test_trouble_stays_on_a_small_screen() -> None:

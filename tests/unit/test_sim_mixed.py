@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +56,7 @@ def test_a_driver_in_the_process_and_a_url_state_the_same_of_each_body() -> None
     world = World(config, IDS, STARTS)
     fleet = SimFleet(world, lambda: 0.0)
     for robot, description in zip(IDS, fleet.descriptions, strict=True):
-        assert parse_url(url_for(config, robot)).description == replace(description, model="pybullet")
+        assert parse_url(url_for(config, robot)).description == description
     assert [each.limits.speed_m_s for each in fleet.descriptions] == [1.0, 0.5, 0.2]
     assert SimFleet(world, lambda: 0.0, row=2).descriptions == fleet.descriptions[2:]
     # What drivers state of the size is wrong here; the bodies are as before.

@@ -23,6 +23,7 @@ from fullswarm.kernels import Array, Flags, Index, bound, kernel
 from fullswarm.reasons import Code, Reason, given, reason
 
 BATTERY_LOW = int(Hazard.BATTERY_LOW)
+BASE_CHANGED = "its base left the driving mode and reports no fault; see its buttons, its switches and its driver's log"
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +343,7 @@ class DriverWatch:
         desired = bool(self._drive_on[0])
         if self._engaged and desired and state is Lifecycle.READY:
             fault = given(self._fleet.fault(0), self._fleet.fault_code(0))
-            self._end_task(0, fault or reason(Code.DRIVER_STOPPED))
+            self._end_task(0, fault or reason(Code.DRIVER_STOPPED, cause=BASE_CHANGED))
         # Engaged by the present task: a driver that still ends an earlier one becomes READY on purpose.
         fresh = self._engaged or self._state is Lifecycle.READY
         self._engaged = desired and state is Lifecycle.ACTIVE and fresh

@@ -206,6 +206,7 @@ class Reports:
         collisions = self._calculators.collisions.tolist()
         deviation_m_s, deviation_m, filter_note = self._filter.report(self._tasks.filtered)
         standing = self._state.at_standstill.tolist()
+        command_m_s, command_rad_s = self._state.setpoints.T.tolist()
         for row, robot in enumerate(fleet.ids):
             task, description = self._tasks.asked(row), fleet.descriptions[row]
             request = task.request if task else NO_REQUEST
@@ -241,6 +242,8 @@ class Reports:
                 heading_sigma_rad=pose.heading_sigma_rad,
                 pose_note=pose.note,
                 pose_sources=pose.sources,
+                command_m_s=command_m_s[row],
+                command_rad_s=command_rad_s[row],
                 deviation_m_s=deviation_m_s[row],
                 deviation_m=deviation_m[row],
                 filter_note=filter_note[row],

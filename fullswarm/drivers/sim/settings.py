@@ -25,7 +25,12 @@ OPTIONS = (
 )
 """Options of the URL that are fields of `WorldConfig`; besides, `DELAYS`, ``sensing_m``, and ``ranges_m``: the world
 gives this robot a range sensor that reaches so far, with ``ranges_hz`` scans a second; ``pose=no``: it senses odometry
-alone."""
+alone; ``engine``: what computes its motion, for its description."""
+BODIES = {
+    "kinematic": "kinematic disc", "pybullet": "disc", "pybullet-wheels": "disc on wheels",
+    "drivetrain": "disc with motors",
+}  # fmt: skip
+"""Engine of the world → the model of its robots. A URL that does not name the engine says no more than "disc"."""
 DELAYS = ("overrun_s", "overrun_m", "dead_time_s")
 """Options of the URL that are fields of `Limits`."""
 
@@ -66,10 +71,13 @@ def parse_url(url: str) -> SimUrl:
         raise ConfigError("not a simulated robot", where=url, hint="write sim://r1 or sim://127.0.0.1:7450/r1")
     host, port = parse_address(address, where=url)
     numbers = dict.fromkeys((*OPTIONS, *DELAYS, "sensing_m", "ranges_m", "ranges_hz"), math.nan)
-    senses_pose = True
+    senses_pose, model = True, BODIES[WorldConfig().engine]
     for key, text in parse_qsl(parts.query, keep_blank_values=True):
         if key == "pose" and text in ("yes", "no"):
             senses_pose = text == "yes"
+            continue
+        if key == "engine" and text in BODIES:
+            model = BODIES[text]
             continue
         if key not in numbers:
             raise ConfigError(f"unknown option '{key}'", where=url, hint=did_you_mean(key, numbers))
@@ -86,7 +94,7 @@ def parse_url(url: str) -> SimUrl:
     sensing_m = sensing_m if sensing_m > 0 else SENSING_M
     description = describe(config, sensing_m)
     limits = replace(description.limits, overrun_s=overrun_s, overrun_m=overrun_m, dead_time_s=dead_time_s)
-    return SimUrl(robot, host, port, replace(description, limits=limits), sensing_m)
+    return SimUrl(robot, host, port, replace(description, limits=limits, model=model), sensing_m)
 
 
 def _positive(text: str, key: str, url: str) -> float:
@@ -110,7 +118,7 @@ def describe(config: WorldConfig, sensing_m: float = SENSING_M) -> Description:
     declared = config.engine == "drivetrain" and config.drivetrain.declared
     return Description(
         make="sim",
-        model=config.engine,
+        model=BODIES[config.engine],
         radius_m=config.declared_radius_m or config.radius_m,
         limits=_with_drivetrain(limits, config) if declared else limits,
         senses_pose=config.sight.pose,
@@ -165,5 +173,7 @@ def url_for(config: WorldConfig, robot: str, sensing_m: float = SENSING_M) -> st
             options["ranges_hz"] = ranges.rate_hz
     if not config.sight.pose:
         options["pose"] = "no"
+    if config.engine != WorldConfig().engine:
+        options["engine"] = config.engine
     place = "" if config.address == DEFAULT_WORLD else f"{config.address}/"
     return f"sim://{place}{robot}" + (f"?{urlencode(options)}" if options else "")

@@ -7,7 +7,9 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 
 ``gateway.py``   connects the bus to the pages: subscriptions, frames and their rates; read this first
 ``sessions.py``  carries out what one operator does: requests, driving, leases, stops
+``undo.py``      plans what undoes an operator's newest request
 ``world.py``     mirrors the core's database: arena, behaviours, groups, orders of the robots
+``detail.py``    samples all robots, and shows the details of those whose pane is open
 ``fleet.py``     the table of robots, the chart of metrics, the states
 ``map.py``       trails, goals, obstacles, covered cells, robots that the filter holds back
 ``log.py``       the log: requests and outcomes, leases, changes of hub, core and robots
@@ -40,12 +42,16 @@ of ``index.html`` and a line in ``main.js``:
 ``keyboard.js``   all keys
 ``drive.js``      driving with arrow keys and a gamepad: which button does what
 ``selection.js``  the selected robots
-``fleet.js``      the table of robots and the groups
-``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters; ``terms.js``: team, needs and roles
+``fleet.js``      the table of robots; ``attention.js``: the strip above it that names those which need attention
+``groups.js``     the groups, and making one of the selection
+``detail.js``     the details of one robot; ``facts.js``: what it says, ``detail.css``: its looks
+``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters; ``terms.js``: team, needs and roles;
+                  ``refusals.js``: when a refusal's cause is gone; ``words.js``: titles, and states in words for people
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
 ``camera.js``     the pictures of the cameras
 ``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
+``labels.js``     where labels go: beside their robots, never over a robot or another label
 ``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers
 ``underlay.js``   what lies under the map: a plan, a map of ROS, tiles
 ``tools.js``      the tools of the map: goals, formations, measuring; ``pointer.js``: mouse, pen and fingers

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fullswarm.messages import RobotHealth, Summary
-from fullswarm.operator.robot_state import advise, pose_text, row_state
+from fullswarm.operator.robot_state import advise, ended_text, pose_text, row_state
 from fullswarm.operator.view import RobotRow, Snapshot, memory_text
 
 CORE = "core"
@@ -71,7 +71,7 @@ def fleet(seen: Snapshot, now_s: float) -> dict[str, Any]:
 
 
 def _robot(row: RobotRow) -> dict[str, Any]:
-    state = row_state(row)
+    state = row_state(row, "page")
     health = row.health or UNKNOWN
     return {
         "robot": row.robot,
@@ -92,10 +92,12 @@ def _robot(row: RobotRow) -> dict[str, Any]:
         "state_word": state.word,
         "state_why": state.why,
         "attention": state.attention,
+        "brief": state.brief,
+        "ended": ended_text(row),
         "stop_reason": health.stop_reason,
         "stop_code": health.stop_code,
         "fault": health.fault,
-        "advice": advise(row),
+        "advice": advise(row, "page"),
         "battery": None if health.battery < 0.0 else _finite(health.battery),
         "contacts": health.contacts,
         "collisions": health.collisions,

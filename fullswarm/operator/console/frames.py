@@ -144,12 +144,35 @@ class Clip(Frame, frozen=True, kw_only=True):
     kind: Literal["mcap", "gif", "mp4"]
 
 
+class Inspect(Frame, frozen=True, kw_only=True):
+    """Show the details of a robot; of none if it is empty."""
+
+    robot: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{0,64}\Z")] = ""
+
+
+class Undo(Frame, frozen=True, kw_only=True):
+    """Undo the newest request of this operator, if it is still the one with this id."""
+
+    id: Annotated[str, Meta(min_length=1, max_length=64)]
+
+
+class Group(Frame, frozen=True, kw_only=True):
+    """Keep a group of robots for all consoles, or delete one."""
+
+    op: Literal["save", "delete"]
+    name: Name
+    robots: Annotated[tuple[Name, ...], Meta(max_length=1024)] = ()
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
 
 Past = Look | Mark | Clip
-Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Ping
+Command = (
+    Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Inspect | Undo
+    | Group | Ping
+)  # fmt: skip
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):

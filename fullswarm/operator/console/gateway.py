@@ -32,9 +32,10 @@ from fullswarm.operator.client import Operator
 from fullswarm.operator.console import fleet, frames
 from fullswarm.operator.console.cameras import Cameras
 from fullswarm.operator.console.clips import Download
+from fullswarm.operator.console.detail import DETAIL_HZ, Details
 from fullswarm.operator.console.fleet import CHART_NAMES, CHART_RATE_HZ, Charts
 from fullswarm.operator.console.history import History
-from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, for_page, named
+from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, named
 from fullswarm.operator.console.map import TRAIL_RATE_HZ, Coverage, Goals, HeldBack, Obstacles, Trails
 from fullswarm.operator.console.missions import MissionBoard
 from fullswarm.operator.console.sessions import ConsoleContext, Listener, OperatorSession
@@ -42,6 +43,7 @@ from fullswarm.operator.console.stops import EStopTracker, StopTracker
 from fullswarm.operator.console.study import PLAN, StudyDesk, Swarm, TrialPlan, read_plan
 from fullswarm.operator.console.timeline import About, Timeline
 from fullswarm.operator.console.tokens import Role
+from fullswarm.operator.console.undo import Asked, Known
 from fullswarm.operator.console.world import World
 from fullswarm.operator.missions import MissionClient
 from fullswarm.operator.view import FleetView
@@ -119,10 +121,12 @@ class Gateway:
         self._context = ConsoleContext(
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,
             self._new_desk(bus, wall_s), self.timeline.handle,
+            Known(self._asked, self._world.orders, self._world.record, self._world.title), self._note,
         )  # fmt: skip
         self._desk = self._context.study
         self._log_entries = EventLog(wall_s, self._send_entry)
-        self._requests = RequestLog(self._log_entries, self._world.expires)
+        self._requests = RequestLog(self._log_entries, self._world.expires, self._world.title)
+        self._details = Details(wall_s)
         self._changes = ChangeLog(self._log_entries)
         self._coverage, self._obstacles, self._held_back = Coverage(), Obstacles(), HeldBack()
         self._estops, self._stops = EStopTracker(scheduler, self.view.present, self._name_of), StopTracker()
@@ -149,6 +153,7 @@ class Gateway:
             scheduler.every(1.0 / TRAIL_RATE_HZ, self._sample_trails),
             scheduler.every(1.0 / CHART_RATE_HZ, self._send_chart),
             scheduler.every(1.0 / MAP_HZ, self._send_map),
+            scheduler.every(1.0 / DETAIL_HZ, self._send_details),
         ]
         if self._desk is not None:
             self._timers.append(scheduler.every(DESK_S, self._tick_desk))
@@ -268,6 +273,7 @@ class Gateway:
             "cameras": self._cameras.shown,
             "estop": self._estops.shown,
             "study": lambda: self._study_frame(session),
+            "undo": session.undo.shown,
             "events": self.timeline.events,
             "timeline": self.timeline.shown,
             "bookmarks": self.timeline.bookmarks,
@@ -373,6 +379,8 @@ class Gateway:
         if "goals" in changed:
             with self._drawing("goals"):
                 self._send(self._goals_frame())
+            for session in self._sessions.values():
+                session.send_undo()
         if self._held_back.changed or self._held_back.expired(now_s):
             self._held_back.changed = False
             with self._drawing("filter"):
@@ -414,6 +422,40 @@ class Gateway:
             with self._drawing("coverage"):
                 if frame := self._coverage.shown():
                     self._send(frame)
+
+    # ---------------------------------------------------------------- details of a robot
+    def _send_details(self) -> None:
+        now_s, seen = self._scheduler.now_s(), self.view.snapshot()
+        with self._drawing("detail"):
+            self._details.sample(seen, now_s)
+            rows = {row.robot: row for row in seen.robots}
+            texts: dict[str, str] = {}
+            for session in self._sessions.values():
+                for listener, robot in session.inspected.items():
+                    if robot in rows and robot not in texts:
+                        frame = self._details.shown(rows[robot], now_s, self._known_of(robot))
+                        texts[robot] = frames.encode(frame)
+                    if robot in texts:
+                        listener.put("detail", texts[robot])
+
+    def _known_of(self, robot: str) -> Made:
+        order = self._world.orders().get(robot)
+        asked = self._requests.operator_of(str(order.get("request_id", ""))) if order else ""
+        shown = {name: order.get(name) for name in ("behaviour", "parameters", "request_id")} if order else None
+        return {
+            "order": None if shown is None else {**shown, "operator": asked},
+            "requests": self._requests.of_robot(robot),
+        }
+
+    def _asked(self, request_id: str) -> Asked | None:
+        """Return a request for a plan that undoes another one."""
+        asked = self._requests.asked(request_id)
+        if asked is None:
+            return None
+        return Asked(asked.request, () if asked.status is None else asked.status.robots)
+
+    def _note(self, text: str, by: str) -> None:
+        self._log_entries.add(self._scheduler.now_s(), "request", text, by=by)
 
     # ---------------------------------------------------------------- a study
     def _new_desk(self, bus: Bus, wall_s: Callable[[], float]) -> StudyDesk | None:
@@ -496,7 +538,7 @@ class Gateway:
             "request_id": status.request_id,
             "behaviour": status.behaviour,
             "phase": status.phase,
-            "reason": for_page(status),
+            "reason": self._requests.readable(status),
             "code": status.code,
             "about": status.parameters,
             "robots": status.robots,

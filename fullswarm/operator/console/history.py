@@ -179,7 +179,7 @@ class History:
     def events(self, most: int) -> list[dict[str, Any]]:
         """Return the newest lines of the log that can still be looked at, the oldest first."""
         lines = islice(self.entries, max(0, len(self.entries) - most), None)
-        return [event(each) for each in lines if each.at_s >= self.from_s]
+        return [event(each) for each in lines if each.at_s >= self.from_s and each.count == 1]
 
     def segment(self, at_s: float, reader: str = "") -> str:
         """Return the frame ``history`` with all of the segment that holds a moment, or of the nearest one.

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal
 
 import msgspec
 
-from fullswarm.messages import BehaviourRequest, FileReload, Lease, RequestStatus, RobotHealth
+from fullswarm.messages import FINAL_PHASES, STOP, BehaviourRequest, FileReload, Lease, RequestStatus, RobotHealth
 from fullswarm.operator.console.fleet import core_age_s
 from fullswarm.operator.view import SILENT_S, Snapshot
-from fullswarm.reasons import Code
+from fullswarm.reasons import Code, Reason, worded
 from fullswarm.recent import Recent
 
 LOG_LENGTH = 200
@@ -23,7 +23,7 @@ LogKind = Literal["request", "refused", "stop", "estop", "mission", "lease", "li
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A line of the log; `by` is the operator that caused it."""
+    """A line of the log; `by` is the operator that caused it. A line with the `number` of another one repeats it."""
 
     at_s: float
     clock: str
@@ -32,6 +32,8 @@ class Entry:
     robots: tuple[str, ...] = ()
     request_id: str = ""
     by: str = ""
+    number: int = 0
+    count: int = 1
 
     def shown(self, reader: str) -> dict[str, Any]:
         """Return it as operator `reader` sees it."""
@@ -43,6 +45,8 @@ class Entry:
             "robots": self.robots,
             "request_id": self.request_id,
             "mine": bool(reader) and self.by == reader,
+            "number": self.number,
+            "count": self.count,
         }
 
 
@@ -51,7 +55,7 @@ class EventLog:
 
     def __init__(self, wall_s: Callable[[], float], on_entry: Callable[[Entry], None]) -> None:
         self.entries: deque[Entry] = deque(maxlen=LOG_LENGTH)
-        self._wall_s, self._on_entry = wall_s, on_entry
+        self._wall_s, self._on_entry, self._last = wall_s, on_entry, 0
 
     def add(
         self,
@@ -63,11 +67,21 @@ class EventLog:
         request_id: str = "",
         by: str = "",
     ) -> None:
-        """Write a line."""
+        """Write a line. The same refusal again moves its line to the end and counts."""
         clock = f"{datetime.fromtimestamp(self._wall_s()):%H:%M:%S}"
-        entry = Entry(at_s, clock, kind, text[:500], robots, request_id, by)
+        self._last += 1
+        entry = Entry(at_s, clock, kind, text[:500], robots, request_id, by, self._last)
+        if kind == "refused" and (before := self._same(entry)):
+            self.entries.remove(before)
+            entry = replace(entry, number=before.number, count=before.count + 1)
         self.entries.append(entry)
         self._on_entry(entry)
+
+    def _same(self, entry: Entry) -> Entry | None:
+        """Return the line that says the same of the same robots and the same operator; None: there is none."""
+        same = (entry.kind, entry.text, entry.robots, entry.by)
+        found = (each for each in reversed(self.entries) if (each.kind, each.text, each.robots, each.by) == same)
+        return next(found, None)
 
 
 REMEMBERED = 512
@@ -75,8 +89,8 @@ STREAM_GAP_S = 2.0
 """A stick that was at rest for this long gets a new line in the log."""
 NAMES_SHOWN = 6
 SUPERSEDED = (Code.SUPERSEDED, Code.CAME_FIRST)
-ON_PAGE: dict[str, str] = {Code.ESTOP_LATCHED: "its e-stop is latched; clear it with the button 'Clear the e-stop…'"}
-"""Reasons whose texts name a shell command; the page has a button instead."""
+SHOWN_REQUESTS = 12
+"""Requests that are shown of one robot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +101,16 @@ class RequestRecord:
     robots: tuple[str, ...]
     intent: bool
     behaviour: str = ""
+    halts: bool = False  # a stop or an e-stop
+
+
+@dataclass(slots=True)
+class AskedRequest:
+    """A request that is no intent, when it was received, and its newest status."""
+
+    request: BehaviourRequest
+    clock: str
+    status: RequestStatus | None = None
 
 
 @dataclass(slots=True)
@@ -97,10 +121,14 @@ class RequestLog:
     ----------
     expires
         Returns whether a behaviour is an intent.
+    title
+        Returns the title of a behaviour.
     """
 
     log: EventLog
     expires: Callable[[str], bool]
+    title: Callable[[str], str] = str
+    _asked: Recent[str, AskedRequest] = field(default_factory=lambda: Recent(REMEMBERED))
     _requests: OrderedDict[str, RequestRecord] = field(default_factory=OrderedDict)
     _newest: OrderedDict[str, RequestStatus] = field(default_factory=OrderedDict)
     _streams: OrderedDict[tuple[str, ...], float] = field(default_factory=OrderedDict)
@@ -115,13 +143,40 @@ class RequestLog:
         _bound(self._requests)
         if intent and not self._begins((operator, request.behaviour), now_s):
             return
-        text = f"{operator}: {request.behaviour} for {named(request.robots)}"
+        text = f"{operator}: {self._title(request.behaviour)} for {named(request.robots)}"
         request_id = "" if intent else request.id
         self.log.add(now_s, "request", text, request.robots, request_id=request_id, by=operator)
+        if not intent:
+            self._asked[request.id] = AskedRequest(request, self.log.entries[-1].clock)
+
+    def asked(self, request_id: str) -> AskedRequest | None:
+        """Return a request that was received, if it is no intent; None: it was not, or is forgotten."""
+        return self._asked.get(request_id)
+
+    def of_robot(self, robot: str) -> list[dict[str, str]]:
+        """Return the newest requests that concern a robot, each with its outcome there, the newest first."""
+        found: list[dict[str, str]] = []
+        for each in reversed(self._asked.values()):
+            status, request = each.status, each.request
+            if robot not in (request.robots if status is None else (*status.robots, *status.left_out)):
+                continue
+            outcome, why = _outcome(status, robot)
+            found.append(
+                {
+                    "clock": each.clock, "behaviour": request.behaviour, "operator": request.operator or request.source,
+                    "outcome": outcome, "code": str(why.code), "reason": worded(why, "page"),
+                }
+            )  # fmt: skip
+            if len(found) == SHOWN_REQUESTS:
+                break
+        return found
+
+    def _title(self, behaviour: str) -> str:
+        return "stop" if behaviour == STOP else self.title(behaviour)
 
     def add_stop(self, order_id: str, act: str, operator: str) -> None:
         """Note a stop or an e-stop, which ends requests by its id."""
-        self._requests[order_id] = RequestRecord(operator, (), False, act)
+        self._requests[order_id] = RequestRecord(operator, (), False, act, halts=True)
         _bound(self._requests)
 
     def operator_of(self, request_id: str) -> str:
@@ -144,6 +199,8 @@ class RequestLog:
             return False
         self._newest[status.request_id] = plain
         _bound(self._newest)
+        if status.request_id in self._asked:
+            self._asked[status.request_id].status = status
         halted = record is None and status.behaviour == "stop"  # a stop or an e-stop: logged already
         if not halted and (before is None or (before.phase, before.refused_by) != (status.phase, status.refused_by)):
             self._log(status, record.operator if record else "", now_s)
@@ -156,35 +213,58 @@ class RequestLog:
         _bound(self._streams)
         return before_s is None or now_s - before_s > STREAM_GAP_S
 
-    def _readable(self, status: RequestStatus) -> str:
-        """Return the reason, with behaviour and operator of another request in place of its id."""
-        record = self._requests.get(status.parameters.get("by", "")) if status.code in SUPERSEDED else None
-        return for_page(status) if record is None else f"superseded by {record.behaviour} of {record.operator}"
+    def readable(self, status: RequestStatus) -> str:
+        """Return the reason for the page, with behaviour and operator of another request in place of its id."""
+        if status.code == Code.PARAMETERS:
+            return status.parameters.get("problems", status.reason)  # the form lists all parameters
+        if status.code not in SUPERSEDED:
+            return for_page(status)
+        record = self._requests.get(status.parameters.get("by", ""))
+        if record is None:
+            return "replaced by another request"
+        if record.halts:
+            return f"ended by {record.behaviour} of {record.operator}"
+        return f"replaced by {self._title(record.behaviour)} of {record.operator}"
 
     def _log(self, status: RequestStatus, operator: str, now_s: float) -> None:
-        because = f": {self._readable(status)}" if status.reason else ""
+        because = f": {self.readable(status)}" if status.reason else ""
+        title = self._title(status.behaviour)
         if status.phase == "refused":
-            text = f"{status.behaviour} refused{because}"
+            text = f"{title} refused{because}"
         elif status.refused_by:
-            text = f"{status.behaviour} refused by {named(status.refused_by)}{because}"
+            text = f"{title} refused by {named(status.refused_by)}{because}"
         elif status.phase in ("accepted", "scheduled"):
             return  # the request itself was a line
         elif status.phase == "running":
-            text = f"{status.behaviour} runs on {len(status.running)} of {len(status.robots)}"
+            count = f"{len(status.running)} of {len(status.robots)}"
+            text = f"{count} stopped" if status.behaviour == STOP else f"{title} runs on {count}"
         elif status.code in SUPERSEDED:
-            text = f"{status.behaviour} {because.removeprefix(': ')}"
+            text = f"{title} {because.removeprefix(': ')}"
         else:
-            text = f"{status.behaviour} {status.phase}{because}"
+            text = f"{title} {status.phase}{because}"
         kind: LogKind = "refused" if status.phase == "refused" or status.refused_by else "request"
         self.log.add(now_s, kind, text, status.robots, request_id=status.request_id, by=operator)
 
 
 def for_page(status: RequestStatus) -> str:
     """Return the reason for readers of the page, who have its buttons and maybe no shell."""
-    text = ON_PAGE.get(status.code)
-    if text is None:
-        return status.reason
-    return f"{', '.join(status.refused_by)}: {text}" if status.refused_by else text
+    return worded(Reason(status.code, status.reason, status.parameters), "page", status.refused_by)
+
+
+def _outcome(status: RequestStatus | None, robot: str) -> tuple[str, Reason]:
+    """Return what became of a request on one robot, and why."""
+    if status is None:
+        return "not answered yet", Reason()
+    why = Reason(status.code, status.reason, status.parameters)
+    if robot in status.refused_by:
+        return "refused", why
+    if robot in status.left_out:
+        return "left out", why
+    if result := next((each for each in status.results if each.robot == robot), None):
+        return result.outcome, Reason(Code.GIVEN if result.text else "", result.text)
+    if status.phase in FINAL_PHASES:
+        return "replaced" if status.phase == "superseded" else status.phase, why
+    return "runs" if robot in status.running else "sent", Reason()
 
 
 def named(robots: Sequence[str]) -> str:

@@ -11,13 +11,14 @@ from fullswarm.bus.base import Bus
 from fullswarm.clock import clock_id
 from fullswarm.errors import did_you_mean
 from fullswarm.keys import Keys
-from fullswarm.messages import MissionReply, RequestStatus
+from fullswarm.messages import BehaviourRequest, MissionReply, ParamReply, RequestStatus
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console import frames
 from fullswarm.operator.console.frames import Answer
 from fullswarm.operator.console.log import for_page
 from fullswarm.operator.console.study import StudyDesk
 from fullswarm.operator.console.tokens import Role
+from fullswarm.operator.console.undo import Known, Step, UndoPlan
 from fullswarm.operator.console.world import World
 from fullswarm.operator.estop import EStopOrder, end_released
 from fullswarm.operator.leases import LeaseHolder
@@ -37,6 +38,8 @@ OBSERVER = "your token is that of an observer: it shows everything and sends not
 NO_CLEAR = "your token is that of a driver: an operator who has looked at the robots clears their e-stop"
 NO_TAKE = "your token is that of a driver: it takes no robots over from their holders"
 READ_ONLY = "this console is read-only: it was started with --read-only"
+NO_GROUPS = "your token is that of a driver: it makes no groups"
+IN_STUDY = "this is not offered in a study"
 
 
 def refusal_of(role: Role, *, clears: bool = False, takes: bool = False) -> str:
@@ -73,6 +76,8 @@ class ConsoleContext:
     read_only: bool
     study: StudyDesk | None  # None: the operator takes part in no study
     look: Callable[[frames.Past, Listener, str], Answer]  # shows a page the past
+    undo: Known
+    note: Callable[[str, str], None]  # logs what an operator has changed: text, name
 
 
 class OperatorSession:
@@ -90,6 +95,7 @@ class OperatorSession:
         self.key, self.source, self.name, self.role = key, source, name, role
         self.listeners: list[Listener] = []
         self.watchers: list[Listener] = []  # of them, those that look at cameras
+        self.inspected: dict[Listener, str] = {}  # of them, those that show the details of a robot
         self._context = context
         self._operator = Operator(context.bus, context.keys, context.scheduler, source, name=name, clock=clock_id())
         self._leases = LeaseHolder(context.bus, context.keys, context.scheduler, name, on_lost=self._lost)
@@ -102,6 +108,8 @@ class OperatorSession:
         self._blocked = ""  # why the dead-man must be released first; empty: it need not
         self._watch: Timer | None = None
         self._estops: list[EStopOrder] = []
+        self.undo = UndoPlan(context.undo)
+        self._undo_sent = self.undo.shown()
 
     # ---------------------------------------------------------------- pages
     def leave(self, listener: Listener) -> None:
@@ -109,6 +117,7 @@ class OperatorSession:
         for pages in (self.listeners, self.watchers):
             if listener in pages:
                 pages.remove(listener)
+        self.inspected.pop(listener, None)
         if self._driver is listener or not self.listeners:
             self._blocked = ""
             self._release()
@@ -134,6 +143,8 @@ class OperatorSession:
             return Answer(ref=ref)
         if isinstance(command, frames.Watch):
             return self._watch_cameras(ref, command.on, listener)
+        if isinstance(command, frames.Inspect):
+            return self._inspect(ref, command.robot, listener)
         if isinstance(command, frames.Look):
             return self._context.look(command, listener, self.name)
         if self._context.read_only:
@@ -146,6 +157,8 @@ class OperatorSession:
         if isinstance(command, frames.Study):
             reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"
             return Answer(ref=ref, ok=not reason, reason=reason)
+        if desk is not None and isinstance(command, frames.Undo | frames.Group):
+            return Answer(ref=ref, ok=False, reason=IN_STUDY)
         if desk is not None and (reason := desk.refusal(command)):
             return Answer(ref=ref, ok=False, reason=reason)
         answer = self._carry_out(command, listener)
@@ -181,25 +194,102 @@ class OperatorSession:
                 return self._request(command)
             case frames.Mission():
                 return self._mission(command)
+            case frames.Undo():
+                reason = self._undo(command)
+            case frames.Group():
+                reason = self._group(command)
             case _:  # an input: only a study takes note of it
                 reason = ""
         return Answer(ref=ref, ok=not reason, reason=reason)
 
-    def _request(self, command: frames.Request) -> Answer:
-        held = False
+    def _inspect(self, ref: int, robot: str, listener: Listener) -> Answer:
+        """Begin or end to send a page the details of a robot: of one at a time, whoever only looks on may look."""
+        if self._context.study is not None:
+            return Answer(ref=ref, ok=False, reason=IN_STUDY)
+        self.inspected.pop(listener, None)
+        if robot and listener in self.listeners:
+            self.inspected[listener] = robot
+        return Answer(ref=ref)
 
-        def receive(status: RequestStatus) -> None:
-            nonlocal held
-            # Leases come with a request that the core has accepted: a refused one shall hold no robot.
-            if command.robots and not held and status.phase in ("accepted", "scheduled", "running"):
-                held = True
-                self._leases.hold(status.robots)
+    def _request(self, command: frames.Request) -> Answer:
+        def accepted(status: RequestStatus) -> None:
+            self.undo.accepted(status.request_id, status.behaviour, status.robots)
+            self.send_undo()
 
         pending = self._operator.request(
-            command.behaviour, command.robots, command.parameters, receive, take=command.take,
-            team=command.team, needs=command.needs, roles=command.roles,
+            command.behaviour, command.robots, command.parameters, self._holding(command.robots, accepted),
+            take=command.take, team=command.team, needs=command.needs, roles=command.roles,
         )  # fmt: skip
+        if self._context.study is None and not self._context.world.expires(command.behaviour):
+            self.undo.sent(pending.request.id)
         return Answer(ref=command.ref, request_id=pending.request.id)
+
+    def _holding(
+        self, robots: tuple[str, ...], accepted: Callable[[RequestStatus], None] = lambda _: None
+    ) -> Callable[[RequestStatus], None]:
+        """Return what holds the robots of a request, and calls `accepted`, once the core has accepted it."""
+        done = False
+
+        def receive(status: RequestStatus) -> None:
+            nonlocal done
+            # Leases come with a request that the core has accepted: a refused one shall hold no robot.
+            if not done and status.phase in ("accepted", "scheduled", "running"):
+                done = True
+                if robots:
+                    self._leases.hold(status.robots)
+                accepted(status)
+
+        return receive
+
+    def _undo(self, command: frames.Undo) -> str:
+        """Ask again for what ran before the newest request; return why not."""
+        steps, refusal = self.undo.steps()
+        if command.id != self.undo.id:
+            refusal = "what it would undo has changed meanwhile: read it again"
+        if refusal:
+            return refusal
+        self.undo.clear()
+        for step in steps:
+            self._repeat(step)
+        self.send_undo()
+        return ""
+
+    def _repeat(self, step: Step) -> None:
+        original: BehaviourRequest | None = step.original
+        if original is None:
+            self.stopped(step.robots)
+            self._operator.stop(step.robots)
+            return
+        self._operator.request(
+            step.behaviour, step.robots, step.parameters, self._holding(step.robots), team=original.team,
+            needs=original.needs, roles=original.roles,
+        )  # fmt: skip
+
+    def send_undo(self) -> None:
+        """Send this operator's pages what undoes the newest request, if that has changed."""
+        frame = self.undo.shown()
+        if frame != self._undo_sent:
+            self._undo_sent = frame
+            self.send("undo", frame)
+
+    def _group(self, command: frames.Group) -> str:
+        """Ask the core to keep a group or to delete it, whose reply is in the log; return why that is not asked for."""
+        if self.role != "operator":
+            return NO_GROUPS
+        if command.op == "save" and not command.robots:
+            return "a group needs robots: select some first"
+        robots = command.robots if command.op == "save" else None
+
+        def receive(reply: ParamReply) -> None:
+            what = f"group {command.name}"
+            if not reply.ok:
+                self._context.note(f"{what} is not changed: {reply.reason}", self.name)
+            elif robots is None:
+                self._context.note(f"{self.name} deletes the {what}", self.name)
+            else:
+                self._context.note(f"{self.name} makes the {what}: {', '.join(robots)}", self.name)
+
+        return self._context.world.set_group(command.name, robots, self.name, receive)
 
     def _mission(self, command: frames.Mission) -> Answer:
         """Pass it to the core, whose reply follows as a frame of its own."""
@@ -247,7 +337,12 @@ class OperatorSession:
         self._estops = end_released(self._estops, robots)
 
     def stopped(self, robots: tuple[str, ...]) -> None:
-        """Note that `robots` (none: all) were stopped: driving one again needs the dead-man released first."""
+        """Note that `robots` (none: all) were stopped: driving one again needs the dead-man released first.
+
+        A stop ends what could be undone, too: nothing may start robots again that were stopped since.
+        """
+        self.undo.stopped(robots)
+        self.send_undo()
         mine = self._teleop.robots
         if self._teleop.held and (not robots or not mine or not set(mine).isdisjoint(robots)):
             self._block("stopped while driving")

@@ -122,7 +122,7 @@ class Timeline:
     def add_entry(self, entry: Entry) -> None:
         """Keep a line of the log, and mark it on the timeline."""
         self.history.add_entry(entry)
-        if self._about.offered:
+        if self._about.offered and entry.count == 1:
             self._send({"t": "event", "event": event(entry)})
 
     def shown(self, read_share: float | None = None) -> dict[str, Any]:

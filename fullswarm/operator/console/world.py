@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from fullswarm.bus.base import Bus
@@ -11,6 +11,7 @@ from fullswarm.keys import Keys
 from fullswarm.messages import Heartbeat, ParamEntry, ParamReply
 from fullswarm.operator.params import ParamClient, Stored
 from fullswarm.runtime import Scheduler
+from fullswarm.store import SEED
 
 EVERYTHING = "*"
 BEHAVIOUR, GROUP, ORDER = "behaviour/", "group/", "wanted/"
@@ -23,6 +24,18 @@ SETTLE_S = 0.2
 """Records that change together are read in one answer."""
 
 _SHOWN = (BEHAVIOUR, GROUP, "world/", "agent/")
+FILTERED = "_bc"
+"""Ends the name of a behaviour that is another one behind the safety filter."""
+MOST_OWN_GROUPS = 64
+"""Groups that consoles have made."""
+
+
+def title_of(name: str, record: Mapping[str, Any], *, plain: bool) -> str:
+    """Return the title of a behaviour: of its record, else made of its name; the `plain` one of two says that it is."""
+    if title := record.get("title"):
+        return str(title)
+    words = name.removesuffix(FILTERED).replace("_", " ").strip() or name
+    return f"{words[:1].upper()}{words[1:]}{', unfiltered' if plain else ''}"
 
 
 class World:
@@ -49,6 +62,7 @@ class World:
         self._scheduler, self._on_world, self._on_orders = scheduler, on_world, on_orders
         self._params = ParamClient(bus, keys, scheduler, author)
         self._values: dict[str, Stored] = {}
+        self._authors: dict[str, str] = {}  # of groups
         self._core = ""
         self._asking = self._again = self._waits = self._closed = False
         self._asked_s, self._gap_s = -math.inf, SETTLE_S
@@ -76,6 +90,7 @@ class World:
             "sensing_radius_m": self._values.get(SENSING),
             "behaviours": {name: self.record(name) for name in self._names(BEHAVIOUR)},
             "groups": {name: list(self.group(name) or ()) for name in self._names(GROUP)},
+            "own_groups": self.own_groups(),
         }
 
     def record(self, name: str) -> dict[str, Any] | None:
@@ -89,7 +104,14 @@ class World:
             for each, spec in (parameters.items() if isinstance(parameters, dict) else ())
             if isinstance(spec, dict)
         }
-        return {**raw, "parameters": filled}
+        return {**raw, "title": self.title(name), "parameters": filled}
+
+    def title(self, name: str) -> str:
+        """Return the title of a behaviour for people; its name if there is no such behaviour."""
+        raw = self._values.get(BEHAVIOUR + name)
+        if not isinstance(raw, dict):
+            return name
+        return title_of(name, raw, plain=not raw.get("filtered") and f"{BEHAVIOUR}{name}{FILTERED}" in self._values)
 
     def expires(self, behaviour: str) -> bool:
         """Return whether a behaviour is an intent, which ends unless it is repeated."""
@@ -102,6 +124,27 @@ class World:
         value = self._values.get(GROUP + name)
         robots = value.get("robots") if isinstance(value, dict) else None
         return tuple(map(str, robots)) if isinstance(robots, list | tuple) else None
+
+    def own_groups(self) -> list[str]:
+        """Return the groups that operators have made, and not the fleet file."""
+        return [name for name in self._names(GROUP) if self._authors.get(GROUP + name, SEED) != SEED]
+
+    def set_group(
+        self, name: str, robots: tuple[str, ...] | None, author: str, on_reply: Callable[[ParamReply], None]
+    ) -> str:
+        """Have the core keep a group, or take it away (None); return why that is not asked for, empty: it is."""
+        own, there = self.own_groups(), GROUP + name in self._values
+        if not self.known:
+            return "the core has not reported its groups yet"
+        if robots is None and name not in own:
+            return f"the group {name} is in the fleet file: it can be changed there" if there else f"no group {name}"
+        if robots is not None and there and name not in own:
+            return f"the group {name} is in the fleet file: choose another name"
+        if robots is not None and not there and len(own) >= MOST_OWN_GROUPS:
+            return f"there are {MOST_OWN_GROUPS} groups already: delete one first"
+        value: Stored = None if robots is None else {"robots": list(robots)}
+        self._params.ask("set", GROUP + name, on_reply, value, author=author)
+        return ""
 
     def orders(self) -> dict[str, dict[str, Any]]:
         """Return robot → its order of the core: `request_id`, `behaviour`, `parameters` and more."""
@@ -176,6 +219,7 @@ class World:
             return
         if reply.ok:
             self._values = {entry.key: entry.value for entry in reply.entries if entry.value is not None}
+            self._authors = {entry.key: entry.author for entry in reply.entries if entry.key.startswith(GROUP)}
             self.known = True
             self._on_world()
             self._on_orders(self.orders())
@@ -197,8 +241,11 @@ class World:
             return
         if entry.value is None:
             self._values.pop(key, None)
+            self._authors.pop(key, None)
         else:
             self._values[key] = entry.value
+            if key.startswith(GROUP):
+                self._authors[key] = entry.author
         if key.startswith(ORDER):
             self._on_orders((key.removeprefix(ORDER),))
         elif key.startswith(_SHOWN):

@@ -133,7 +133,7 @@ export class Bench {
   }
 
   async #build() {
-    const names = ["store", "link", "selection", "commands", "tools", "drive", "stops", "panel", "fleet"];
+    const names = ["store", "link", "selection", "commands", "tools", "drive", "stops", "panel", "groups"];
     const [{ Store }, { Link }, { Selection }, { Commands }, { Tools }, { Driver, Pad }, { Stops }, { Panel }, { GroupBar }] =
       await Promise.all(names.map((name) => page(`${name}.js`)));
     this.told = /** @type {string[]} */ ([]);
@@ -149,7 +149,7 @@ export class Bench {
     this.driver = new Driver({ link, store, selection, commands });
     this.pad = new Pad(this.driver, selection, () => this.stops.estop());
     this.panel = new Panel({ store, selection, commands, tools: this.tools });
-    new GroupBar(store, selection);
+    new GroupBar(store, selection, commands);
   }
 
   element(id) {

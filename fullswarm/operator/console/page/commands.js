@@ -2,12 +2,13 @@
 
 import { Emitter } from "./dom.js";
 import { assign, closestPair, goalRadius } from "./geometry.js";
+import { titleOf } from "./words.js";
 
 /** @import { Answer } from "./link.js" */
 /** @import { Mission, MissionReply, Point, RequestStatus, Terms } from "./types.d.ts" */
 
 /**
- * @typedef {{behaviour: string, reason?: string, robots?: string[]}} Refused
+ * @typedef {{behaviour: string, reason?: string, robots?: string[], code?: string}} Refused
  * @typedef {{holders: Map<string, string>, take: () => void}} Question
  * @typedef {{what: string, lost?: Answer["lost"], reason?: string}} Unsent
  */
@@ -31,6 +32,18 @@ export class Commands extends Emitter {
     this.withheld = ""; // why nothing but stops is sent now; empty: all is
     store.on("request", (status) => this.#onStatus(status));
     store.on("mission", (reply) => this.#onReply(reply));
+  }
+
+  /**
+   * People read titles, not keys: those of behaviours come from their records.
+   * @template {"refused" | "requested" | "question" | "unsent"} T
+   * @param {T} topic
+   * @param {{refused: Refused, requested: {behaviour: string, robots: string[]}, question: Question, unsent: Unsent}[T]} value
+   */
+  emit(topic, value) {
+    if (topic !== "refused") return super.emit(topic, value);
+    const refused = /** @type {Refused} */ (value);
+    return super.emit("refused", { ...refused, behaviour: titleOf(this.store.behaviours, refused.behaviour) });
   }
 
   #mine = /** @type {Map<string, () => void>} */ (new Map()); // request id → how to repeat it
@@ -148,6 +161,32 @@ export class Commands extends Emitter {
     return answer;
   }
 
+  /**
+   * Undo the newest request, which must still be the one that was shown.
+   * @param {string} id
+   */
+  async undo(id) {
+    if (this.withheld) return this.emit("refused", { behaviour: "undo", reason: this.withheld });
+    this.emit("requested", { behaviour: "undo", robots: [] });
+    const answer = await this.link.ask({ t: "undo", id });
+    if (!answer.ok) this.emit("refused", { behaviour: "undo", reason: answer.reason });
+    return answer;
+  }
+
+  /**
+   * Make or delete a group for all consoles.
+   * @param {"save" | "delete"} op
+   * @param {string} name
+   * @param {string[]} robots
+   * @returns {Promise<Answer>}
+   */
+  async group(op, name, robots) {
+    if (this.withheld) return { ok: false, reason: this.withheld };
+    const answer = await this.link.ask({ t: "group", op, name, robots });
+    if (!answer.ok) this.emit("refused", { behaviour: `group ${name}`, reason: answer.reason });
+    return answer;
+  }
+
   /** @param {{t: string, robots: string[], reason?: string}} message */
   async #urgent(message) {
     const { ok, lost, reason } = await this.link.ask(message);
@@ -192,7 +231,7 @@ export class Commands extends Emitter {
   #refuse(behaviour, { reason = "no reason given", code = "", about = {} }, again, robots = []) {
     // The list of all parameters is left out: the form shows them.
     const brief = code === "parameters" ? about.problems ?? reason : reason;
-    this.emit("refused", { behaviour, reason: brief, robots });
+    this.emit("refused", { behaviour, reason: brief, robots, code });
     if (code !== "held" || !again) return;
     this.emit("question", { holders: new Map(Object.entries(about)), take: again });
   }

@@ -1,91 +1,107 @@
-/** The table of robots, those that need attention first, and the group buttons above it. It shares the map's selection. */
+/** The table of robots, in the order of their names, and the group buttons above it. It shares the map's selection. */
 
+import { AttentionStrip, needsAttention, steady, troubleText } from "./attention.js";
 import { byId, make, setFlag, setText } from "./dom.js";
 import { OLD_S, seconds } from "./link.js";
 import { IDLE, actuatorText } from "./palette.js";
 import { byNumber } from "./store.js";
+import { titleOf } from "./words.js";
 
 /** @import { Robot } from "./types.d.ts" */
 
-const CALM_PX = 60;
+const ROW_PX = 60;
 const AGEING_MS = 500;
-const LINE_PX = 19;
-const LETTERS_PER_LINE = 46;
-const MOST_LINES = 3;
 
 /**
- * @typedef {{element: HTMLElement, check: HTMLInputElement, lines: number, id: HTMLElement, state: HTMLElement,
- *   behaviour: HTMLElement, swatch: HTMLElement, battery: HTMLElement, age: HTMLElement, driver: HTMLElement,
- *   version: HTMLElement, advice: HTMLElement, lease: HTMLElement}} Row
+ * @typedef {{element: HTMLElement, check: HTMLInputElement, id: HTMLElement, state: HTMLElement,
+ *   behaviour: HTMLElement, swatch: HTMLElement, battery: HTMLElement, age: HTMLElement, lease: HTMLElement}} Row
  */
 
 export class FleetTable {
   /**
    * @param {{store: import("./store.js").Store, selection: import("./selection.js").Selection,
-   *   commands: import("./commands.js").Commands, link: import("./link.js").Link}} parts
+   *   commands: import("./commands.js").Commands, link: import("./link.js").Link, open: (id: string) => void}} parts
+   *   open: shows the details of a robot
    */
-  constructor({ store, selection, commands, link }) {
+  constructor({ store, selection, commands, link, open }) {
     this.store = store;
     this.link = link;
     this.selection = selection;
     this.commands = commands;
+    this.open = open;
     this.body = byId("fleet-rows");
-    for (const topic of /** @type {const} */ (["fleet", "robots", "leases"])) store.on(topic, () => this.#show());
+    this.area = byId("fleet-area");
+    for (const topic of /** @type {const} */ (["fleet", "robots", "leases", "world"])) store.on(topic, () => this.#show());
     selection.on("change", () => this.#select());
+    for (const event of ["pointerleave", "focusout"]) this.area.addEventListener(event, () => this.#only && this.#show());
     byId("release-all").addEventListener("click", () => this.#release());
     setInterval(() => this.#ageing(), AGEING_MS);
+    new AttentionStrip({
+      store, selection, reveal: (id) => this.#reveal(id),
+      filter: (only) => {
+        this.#only = only;
+        this.#filtered = [];
+        this.#show();
+      },
+    });
     this.#show();
   }
 
   #rows = /** @type {Map<string, Row>} */ (new Map());
+  #only = false; // robots that need attention alone
+  #filtered = /** @type {string[]} */ ([]);
 
+  /** Rows have one height and one order, so that none is replaced by another under a pointer. */
   #show() {
-    const ids = this.store.ids().sort((a, b) => this.#rank(a) - this.#rank(b) || byNumber(a, b));
-    let top = 0;
-    for (const id of ids) {
+    const ids = this.#shown();
+    for (const [k, id] of ids.entries()) {
       const row = this.#row(id);
       this.#fill(row, id);
-      const high = CALM_PX + row.lines * LINE_PX;
-      row.element.style.transform = `translateY(${top}px)`; // not a layout shift
-      row.element.style.height = `${high}px`;
-      top += high;
+      row.element.style.transform = `translateY(${k * ROW_PX}px)`; // not a layout shift
     }
-    this.body.style.height = `${top}px`;
+    this.body.style.height = `${ids.length * ROW_PX}px`;
     for (const [id, row] of this.#rows) {
       if (ids.includes(id)) continue;
       row.element.remove();
       this.#rows.delete(id);
     }
     this.#reorder(ids);
-    this.#summary(ids);
+    this.#summary();
     this.#select();
   }
 
+  #shown() {
+    const ids = this.store.ids();
+    if (!this.#only) return ids;
+    const wanted = ids.filter((id) => needsAttention(this.store.info(id)));
+    const held = this.area.matches(":hover") || this.area.contains(document.activeElement);
+    this.#filtered = steady(this.#filtered, wanted, held).filter((id) => ids.includes(id));
+    return this.#filtered;
+  }
+
   /**
-   * The order for screen readers and the Tab key follows the one on the screen, unless the focus is in the table.
+   * The order for screen readers and the Tab key is the one on the screen.
    * @param {string[]} ids
    */
   #reorder(ids) {
-    if (this.body.contains(document.activeElement)) return;
     const elements = ids.map((id) => this.#row(id).element);
     if (!elements.every((element, k) => this.body.children[k] === element)) this.body.append(...elements);
   }
 
-  /** @param {string} id */
-  #rank(id) {
-    const info = this.store.info(id);
-    return info.attention || info.silent ? 0 : 1;
-  }
-
-  /** @param {string[]} ids */
-  #summary(ids) {
-    const worried = ids.filter((id) => this.#rank(id) === 0).length;
+  #summary() {
+    const ids = this.store.ids();
     const missing = this.store.missing.length ? ` · never reported: ${this.store.missing.join(", ")}` : "";
-    setText(byId("fleet-summary"), `${ids.length} robots · ${worried || "none"} need${worried === 1 ? "s" : ""} attention${missing}`);
+    setText(byId("fleet-summary"), `${ids.length} robots${missing}`);
     byId("fleet-empty").hidden = ids.length > 0;
+    byId("fleet-fine").hidden = ids.length === 0 || this.#rows.size > 0;
     const mine = [...this.store.leases.values()].filter((lease) => lease.mine).map((lease) => lease.robot);
     setText(byId("lease-summary"), mine.length ? `You hold ${short(mine)}` : "You hold no robot");
     /** @type {HTMLButtonElement} */ (byId("release-all")).disabled = mine.length === 0;
+  }
+
+  /** @param {string} id */
+  #reveal(id) {
+    this.#rows.get(id)?.element.scrollIntoView({ block: "nearest" });
   }
 
   #release() {
@@ -102,22 +118,24 @@ export class FleetTable {
     const part = (/** @type {string} */ name) => make("span", { class: name });
     const parts = {
       id: make("strong", { text: id }), state: part("row-state"), behaviour: part("row-behaviour"), swatch: part("swatch"),
-      battery: part("row-battery"), age: part("row-age"), driver: part("row-driver"), version: part("row-version"),
-      advice: part("row-advice"),
+      battery: part("row-battery"), age: part("row-age"),
       lease: make("span", { class: "row-lease", testid: `lease-${id}`, id: `lease-${id}` }),
     };
+    const more = make("button", {
+      type: "button", class: "row-more", testid: `details-${id}`, "aria-label": `Details of ${id}`, text: "›",
+      on: { click: () => this.open(id) },
+    });
     const element = make(
       "div", { role: "row", class: "row", testid: `robot-row-${id}`, id: `robot-row-${id}` },
       cell("cell-check", check),
       cell("cell-robot", parts.swatch, parts.id, parts.lease),
       cell("cell-state", parts.state, parts.behaviour),
       cell("cell-numbers", parts.battery, parts.age),
-      cell("cell-driver", parts.driver, parts.version),
-      cell("cell-advice", parts.advice),
+      cell("cell-more", more),
     );
     element.addEventListener("click", (event) => this.#clicked(event, id, check));
     this.body.append(element);
-    const row = { element, check, lines: 0, ...parts };
+    const row = { element, check, ...parts };
     this.#rows.set(id, row);
     return row;
   }
@@ -128,7 +146,7 @@ export class FleetTable {
    * @param {HTMLInputElement} check
    */
   #clicked(event, id, check) {
-    if (event.target === check) return;
+    if (event.target === check || event.target instanceof HTMLButtonElement) return;
     if (event.shiftKey || event.ctrlKey || event.metaKey) this.selection.toggle(id);
     else this.selection.set([id]);
   }
@@ -139,22 +157,16 @@ export class FleetTable {
    */
   #fill(row, id) {
     const info = this.store.info(id);
-    const alert = Boolean(info.attention || info.silent);
-    const { head, rest } = stateWords(info, alert);
+    const alert = needsAttention(info);
     row.element.classList.toggle("attention", alert);
-    setText(row.state, head);
+    setText(row.state, `${alert ? "⚠ " : ""}${info.state_word ?? "no health report"}`);
+    row.state.title = alert ? troubleText(info) : (info.state ?? "");
     const parts = actuatorText(info);
-    setText(row.behaviour, [info.behaviour || "no behaviour", parts].filter(Boolean).join(" · "));
-    row.behaviour.title = [info.behaviour, parts, info.memory && `remembers ${info.memory}`].filter(Boolean).join("\n");
-    setText(row.advice, rest);
-    row.advice.title = rest;
-    row.state.title = info.state ?? "";
-    row.lines = rest ? Math.min(MOST_LINES, Math.ceil(rest.length / LETTERS_PER_LINE)) : 0;
+    const does = info.ended || titleOf(this.store.behaviours, info.behaviour) || "no behaviour";
+    setText(row.behaviour, [alert ? info.brief : "", does, parts].filter(Boolean).join(" · "));
+    row.behaviour.title = [does, parts, info.memory && `remembers ${info.memory}`].filter(Boolean).join("\n");
     setText(row.battery, typeof info.battery === "number" && info.battery >= 0 ? `${Math.round(100 * info.battery)} %` : "– %");
     this.#age(row, info);
-    setText(row.driver, driverText(info));
-    setText(row.version, info.version ?? "");
-    row.driver.title = [info.driver, info.make, info.model, info.firmware, info.host, info.capabilities?.join(", ")].filter(Boolean).join("\n");
     row.swatch.style.backgroundColor = info.behaviour ? this.store.looks.of(info.behaviour).colour : IDLE.colour;
     this.#lease(row, id);
   }
@@ -195,23 +207,6 @@ export class FleetTable {
 }
 
 /**
- * Split the state of a robot in trouble: a word for the column, and below it the reason and what to do.
- * @param {Partial<Robot>} robot
- * @param {boolean} alert
- */
-function stateWords({ state_word: head = "no health report", state_why: why = "", advice = "", fault = "" }, alert) {
-  if (!alert) return { head, rest: "" };
-  const reason = why || fault;
-  const rest = [reason && `${reason[0].toUpperCase()}${reason.slice(1)}.`, advice].filter(Boolean).join(" ");
-  return { head: `⚠ ${head}`, rest };
-}
-
-/** @param {Partial<Robot>} robot */
-function driverText({ driver = "", make: maker = "" }) {
-  return /^[a-z]+/.exec(driver)?.[0] ?? maker;
-}
-
-/**
  * Name a few, count the rest.
  * @param {Iterable<string>} ids
  * @param {number} [most]
@@ -220,50 +215,4 @@ export function short(ids, most = 6) {
   const sorted = [...ids].sort(byNumber);
   if (sorted.length <= most) return sorted.join(", ");
   return `${sorted.slice(0, most).join(", ")} and ${sorted.length - most} more`;
-}
-
-/** Above the table: the number of selected robots, and the groups as buttons. */
-export class GroupBar {
-  /**
-   * @param {import("./store.js").Store} store
-   * @param {import("./selection.js").Selection} selection
-   */
-  constructor(store, selection) {
-    this.store = store;
-    this.selection = selection;
-    for (const topic of /** @type {const} */ (["world", "robots"])) store.on(topic, () => this.#groups());
-    selection.on("change", () => this.#show());
-    store.on("robots", () => this.#show());
-    byId("select-none").addEventListener("click", () => selection.clear());
-    this.#groups();
-    this.#show();
-  }
-
-  #shown = "";
-
-  #groups() {
-    const groups = this.selection.groups();
-    const names = JSON.stringify([...groups.keys()]);
-    if (names === this.#shown) return;
-    this.#shown = names;
-    const buttons = [...groups.keys()].map((name) =>
-      make("button", {
-        type: "button", class: "chip", text: name, testid: `group-${name}`,
-        on: { click: () => this.selection.set(this.selection.groups().get(name) ?? [], name) },
-      }),
-    );
-    byId("groups").replaceChildren(...buttons);
-  }
-
-  #show() {
-    const ids = this.selection.list();
-    setText(byId("selection"), `${ids.length} selected`);
-    setText(byId("selection-names"), ids.length ? short(ids, 8) : this.#noneSelected());
-    /** @type {HTMLButtonElement} */ (byId("select-none")).disabled = ids.length === 0 && !this.selection.absent;
-  }
-
-  #noneSelected() {
-    const { ids, group, absent } = this.selection;
-    return absent ? `${short(ids, 4) || group}: not reported` : "click, lasso, or tick robots";
-  }
 }

@@ -3,6 +3,7 @@
 import { byId, context2d, make } from "./dom.js";
 import { IDLE, lawOf } from "./palette.js";
 import { fillPattern, outline } from "./sprites.js";
+import { titleOf } from "./words.js";
 
 /** @import { Look } from "./palette.js" */
 
@@ -17,6 +18,15 @@ export class Legend {
 
   #shown = "";
 
+  /**
+   * Both variants of a behaviour look the same here: they share the title of the one behind the safety filter.
+   * @param {string} law
+   */
+  #title(law) {
+    const { behaviours } = this.store;
+    return law ? titleOf(behaviours, `${law}_bc` in behaviours ? `${law}_bc` : law) : "no behaviour";
+  }
+
   #show() {
     const laws = /** @type {Map<string, number>} */ (new Map());
     for (const { behaviour } of this.store.fleet.values()) {
@@ -27,7 +37,7 @@ export class Legend {
     if (words === this.#shown) return;
     this.#shown = words;
     const items = [...laws].sort().map(([law, count]) =>
-      make("li", {}, swatch(law ? this.store.looks.of(law) : IDLE), `${law || "no behaviour"} ${count}`),
+      make("li", {}, swatch(law ? this.store.looks.of(law) : IDLE), `${this.#title(law)} ${count}`),
     );
     byId("legend").replaceChildren(...items);
   }

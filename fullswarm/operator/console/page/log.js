@@ -41,6 +41,7 @@ export class LogView {
   #add(entry) {
     if (!this.#fits(entry)) return;
     const { list } = this;
+    list.querySelector(`[data-number="${entry.number}"]`)?.remove(); // the same again: one line with a count
     const atEnd = list.scrollHeight - list.scrollTop - list.clientHeight < 40;
     list.querySelector(".empty")?.remove();
     list.append(item(entry));
@@ -52,11 +53,12 @@ export class LogView {
 /** @param {Entry} entry */
 function item(entry) {
   return make(
-    "li", { class: `entry entry-${entry.kind}`, title: entry.request_id ?? "" },
+    "li", { class: `entry entry-${entry.kind}`, "data-number": entry.number },
     make("time", { text: entry.clock ?? "" }),
     make("span", { class: "entry-sign", "aria-hidden": "true", text: SIGNS[entry.kind] ?? "·" }),
     make("span", { class: "entry-kind", text: entry.kind }),
     make("span", { class: "entry-text", text: entry.text }),
+    (entry.count ?? 1) > 1 ? make("span", { class: "entry-count", text: `× ${entry.count}` }) : "",
     entry.mine ? make("span", { class: "entry-mine", text: "you" }) : "",
   );
 }

@@ -4,10 +4,11 @@
  *
  * data      link.js (WebSocket), store.js (the newest of everything), tracks.js (positions between two states), types.d.ts
  * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js
- * panels    fleet.js (table, groups), panel.js (behaviours; field.js, forms.js), missions.js, charts.js, log.js, legend.js,
- *           camera.js, banners.js, study.js (the dialogs of a study)
- * map       map.js (the loop), ground.js (below the robots), robots.js, sprites.js, tools.js, pointer.js, toolbar.js,
- *           viewport.js, geometry.js, palette.js, theme.js
+ * panels    fleet.js (table), attention.js (the strip above it), groups.js, detail.js (one robot; facts.js), panel.js
+ *           (behaviours; field.js, forms.js, refusals.js), missions.js, charts.js, log.js, legend.js, camera.js, banners.js,
+ *           study.js (the dialogs of a study); words.js (words for people)
+ * map       map.js (the loop), ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js, pointer.js,
+ *           toolbar.js, viewport.js, geometry.js, palette.js, theme.js
  * time      past.js (plays the past into the store that is shown), timeline.js (the bar below the map),
  *           marks.js (bookmarks, clips)
  *
@@ -20,8 +21,10 @@ import { CameraView } from "./camera.js";
 import { Charts } from "./charts.js";
 import { Commands } from "./commands.js";
 import { byId, setText } from "./dom.js";
+import { DetailPane } from "./detail.js";
 import { ArrowDrive, Driver, Pad } from "./drive.js";
-import { FleetTable, GroupBar } from "./fleet.js";
+import { FleetTable } from "./fleet.js";
+import { GroupBar } from "./groups.js";
 import { Keyboard, tabs } from "./keyboard.js";
 import { Legend } from "./legend.js";
 import { identity, Link } from "./link.js";
@@ -41,8 +44,10 @@ import { TimeBar } from "./timeline.js";
 import { Toolbar } from "./toolbar.js";
 import { rulerWords, Tools } from "./tools.js";
 import { Underlay } from "./underlay.js";
+import { fleetWords } from "./words.js";
 
 const FIT_MS = 200;
+const REASON_MS = 8000; // how long the header says why driving by hand has ended
 
 const store = new Store();
 const present = new Store();
@@ -65,8 +70,14 @@ const arrows = new ArrowDrive(driver);
 const pad = new Pad(driver, selection, () => stops.estop());
 new Pointer(map, tools);
 new Panel({ store: present, selection, commands, tools });
-new GroupBar(store, selection);
-new FleetTable({ store, selection, commands, link });
+new GroupBar(store, selection, commands);
+const detail = new DetailPane({ store: present, link, theme });
+const openDetail = (/** @type {string} */ id) => {
+  document.querySelector('#tabs [data-tab="fleet"]')?.dispatchEvent(new MouseEvent("click"));
+  detail.open(id);
+};
+tools.on("open", openDetail);
+new FleetTable({ store, selection, commands, link, open: openDetail });
 new Legend(store);
 new Charts(store, theme);
 new LogView(store);
@@ -97,13 +108,21 @@ present.on("hello", ({ swarm, operator }) => {
   document.title = `${swarm} · fullswarm`;
 });
 
+let reasonUntil_ms = 0;
+/** Driving by hand, or why it has ended, goes before what the fleet does. */
 const showDriving = () => {
-  const source = pad.name && !driver.held && driver.words === "not driving" ? " · gamepad ready, hold LB" : "";
-  setText(byId("driving"), driver.words + source);
-  byId("driving").title = driver.words; // a long reason is cut off in the pill
+  const reason = driver.words !== "not driving" && performance.now() < reasonUntil_ms;
+  const source = pad.name ? " · gamepad ready, hold LB" : "";
+  const words = driver.held || reason ? driver.words : fleetWords(present.fleet.values()) + source;
+  setText(byId("driving"), words);
+  byId("driving").title = words; // a long reason is cut off in the pill
   byId("driving").dataset.on = String(driver.held);
 };
-driver.on("change", showDriving);
+driver.on("change", () => {
+  reasonUntil_ms = performance.now() + REASON_MS;
+  showDriving();
+});
+present.on("fleet", showDriving);
 pad.on("change", showDriving);
 
 const releaseDriving = () => {
@@ -125,6 +144,7 @@ byId("help-close").addEventListener("click", () => toggleHelp(false));
 
 function escape() {
   if (!help.hidden) toggleHelp(false);
+  else if (detail.focused) detail.close();
   else if (tools.mode !== "select") tools.use("select");
   else selection.clear();
 }
@@ -150,6 +170,7 @@ window.fullswarm = Object.freeze({
       robots, docks: structuredClone(store.docks), selection: selection.list(),
       goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
       ruler: tools.ruler && rulerWords(tools.ruler.from, tools.ruler.to),
+      labels: map.robots.labels.filter(({ shown }) => shown).map(({ key, words, left, top, width, height }) => ({ key, words, left, top, width, height })),
       operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: store.charts.length, log: store.log.length,
       time: { live: past.live, at_s: past.live ? map.drawn_s : past.at_s, from_s: past.from_s, to_s: past.to_s, ready: past.ready, playing: past.playing },
     };

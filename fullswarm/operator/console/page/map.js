@@ -4,7 +4,7 @@ import { context2d } from "./dom.js";
 import { bounds } from "./geometry.js";
 import { drawFloor, drawTrails } from "./ground.js";
 import { MAP_COLOURS } from "./palette.js";
-import { drawGoals, drawRobots, placeRobots } from "./robots.js";
+import { RobotLayer, drawGoals } from "./robots.js";
 import { Sprites } from "./sprites.js";
 import { drawTool } from "./tools.js";
 import { Viewport } from "./viewport.js";
@@ -34,7 +34,7 @@ export class SwarmMap {
     this.hovered = /** @type {string | null} */ (null);
     this.old = false; // data is old: veiled
     this.drawn_s = 0; // the time at which `placed` is
-    this.placed = /** @type {import("./robots.js").Placed[]} */ ([]);
+    this.robots = new RobotLayer();
     this.#ground = context2d(ground, { alpha: false });
     this.#live = context2d(live);
     this.#floor = context2d(document.createElement("canvas"), { alpha: false });
@@ -62,6 +62,11 @@ export class SwarmMap {
   touch(all = false) {
     this.#lively_ms = performance.now() + LIVELY_MS;
     if (all) this.#floorStale = true;
+  }
+
+  /** The robots as they are drawn now. */
+  get placed() {
+    return this.robots.placed;
   }
 
   /** Show the arena, or the robots and what they have detected if there is none. */
@@ -164,9 +169,9 @@ export class SwarmMap {
     context.setTransform(this.#dpr, 0, 0, this.#dpr, 0, 0);
     context.clearRect(0, 0, this.view.width, this.view.height);
     this.drawn_s = this.store.clock.drawn(performance.now() / 1000);
-    this.placed = placeRobots(this.store, this.view, this.drawn_s);
+    this.robots.place(this.store, this.view, this.drawn_s);
     drawGoals(scene, this.placed);
-    drawRobots(scene, this.placed, this.selection, this.hovered);
+    this.robots.draw(scene, this.selection, this.hovered);
     if (this.old) {
       context.fillStyle = colours.dim;
       context.fillRect(0, 0, this.view.width, this.view.height);

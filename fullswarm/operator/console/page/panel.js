@@ -3,15 +3,17 @@
 import { byId, make, robots, setText } from "./dom.js";
 import { makeField } from "./field.js";
 import { behaviourGroup, listed, parseForm } from "./forms.js";
+import { SEEN_WITHIN_S, causeHolds } from "./refusals.js";
 import { NOT_REPORTED } from "./selection.js";
 import { makeTerms } from "./terms.js";
+import { progressWords, titleOf } from "./words.js";
 
-/** @import { Behaviour, RequestStatus } from "./types.d.ts" */
+/** @import { Behaviour, RequestStatus, UndoFrame } from "./types.d.ts" */
 
 const GROUPS = {
   filtered: "Behind the safety filter",
   plain: "Without the safety filter",
-  stick: "For sticks: they lapse unless they are repeated",
+  stick: "For sticks: they end when the stick is released",
 };
 
 export class Panel {
@@ -34,13 +36,20 @@ export class Panel {
     store.on("world", () => this.#world());
     store.on("robots", () => this.#label());
     selection.on("change", () => this.#label());
-    commands.on("refused", ({ behaviour, reason, robots }) => this.#refuse(`${behaviour}: ${reason}`, robots));
+    commands.on("refused", ({ behaviour, reason, robots, code }) => this.#refuse(`${behaviour}: ${reason}`, robots, code));
     commands.on("requested", () => this.#refuse(""));
     store.on("request", (status) => status.mine && this.#progress(status));
     for (const topic of /** @type {const} */ (["fleet", "leases"])) store.on(topic, () => this.#stillHindered());
+    byId("form-fields").addEventListener("input", () => this.#code === "parameters" && this.#refuse(""));
+    store.on("undo", (undo) => this.#offerUndo(undo));
+    byId("undo").addEventListener("click", () => void commands.undo(this.#undo));
   }
 
+  #undo = ""; // the id of the request that would be undone
   #refused = /** @type {string[]} */ ([]); // the robots that the words on a refusal concern
+  #code = ""; // of the refusal
+  #seen = false; // whether its cause was seen here
+  #refused_ms = 0;
   #partly = false; // the progress names robots that refused
   #hindered = /** @type {Set<string>} */ (new Set()); // what kept them from obeying since
   #fields = /** @type {Record<string, import("./field.js").Field>} */ ({});
@@ -83,7 +92,8 @@ export class Panel {
       type: "button", class: "behaviour", testid: `behaviour-${name}`, "aria-pressed": String(name === this.chosen),
       on: { click: () => this.#choose(name) },
     });
-    button.append(make("span", { class: "behaviour-name", text: name }));
+    button.title = name;
+    button.append(make("span", { class: "behaviour-name", text: titleOf(this.store.behaviours, name) }));
     button.append(make("span", { class: "behaviour-summary", text: record.summary ?? "" }));
     return button;
   }
@@ -101,7 +111,8 @@ export class Panel {
     this.#refuse("");
     if (name === null) return;
     const record = this.store.behaviours[name];
-    setText(byId("form-title"), name);
+    setText(byId("form-title"), titleOf(this.store.behaviours, name));
+    setText(byId("form-key"), name);
     setText(byId("form-summary"), record.summary ?? "");
     setText(byId("form-filter"), record.filtered ? "behind the safety filter" : "without the safety filter");
     byId("form-filter").dataset.filtered = String(Boolean(record.filtered));
@@ -145,47 +156,69 @@ export class Panel {
 
   /** @param {RequestStatus} status */
   #progress(status) {
-    const { behaviour, phase, running = [], missing = [], refused_by = [], left_out = [], roles = {} } = status;
-    const parts = [`${behaviour}: ${phase}`];
-    if (phase === "running" || running.length) parts.push(`${running.length} of ${status.robots.length} run it`);
-    if (missing.length) parts.push(`not present: ${missing.join(", ")}`);
-    if (refused_by.length) parts.push(`refused by ${refused_by.join(", ")}${status.reason ? `: ${status.reason}` : ""}`);
-    if (left_out.length) parts.push(`left out: ${left_out.join(", ")}${status.reason ? ` (${status.reason})` : ""}`);
-    for (const role of new Set(Object.values(roles))) {
-      parts.push(`${role}: ${Object.keys(roles).filter((id) => roles[id] === role).join(", ")}`);
+    const { behaviour, refused_by = [], code = "" } = status;
+    if (this.store.behaviours[behaviour]?.expires_s) {
+      if (refused_by.length) this.#remember(refused_by, code);
+      return undefined; // a stick's progress is the robot's motion
     }
-    if (behaviour !== "drive_bc") {
-      setText(byId("progress"), parts.join(" · "));
-      this.#partly = refused_by.length > 0;
-    }
-    if (refused_by.length) this.#remember(refused_by);
+    if (status.phase === "refused") return this.#noProgress(); // the refusal says it
+    setText(byId("progress"), progressWords(status, titleOf(this.store.behaviours, behaviour)));
+    this.#partly = refused_by.length > 0;
+    if (this.#partly) this.#remember(refused_by, code);
+    return undefined;
+  }
+
+  /** @param {UndoFrame} frame */
+  #offerUndo({ id, words, refusal }) {
+    const button = /** @type {HTMLButtonElement} */ (byId("undo"));
+    this.#undo = id;
+    button.hidden = !words && !refusal;
+    button.disabled = !words;
+    setText(button, words || `Nothing to undo: ${refusal}`);
+    button.title = words || refusal;
   }
 
   /**
    * @param {string} reason
    * @param {string[]} [robots]
+   * @param {string} [code]
    */
-  #refuse(reason, robots = []) {
+  #refuse(reason, robots = [], code = "") {
     setText(this.refusal, reason ? `Refused. ${reason}` : "");
     if (reason) this.#noProgress();
-    this.#remember(reason ? robots : null);
+    this.#remember(reason ? robots : null, code);
   }
 
-  /** @param {string[] | null} robots */
-  #remember(robots) {
+  /**
+   * @param {string[] | null} robots
+   * @param {string} [code]
+   */
+  #remember(robots, code = "") {
     this.#refused = robots ?? [];
     this.#hindered = robots ? this.store.hindrances(robots) : new Set();
+    [this.#code, this.#seen, this.#refused_ms] = [code, false, performance.now()];
   }
 
-  /** The text of a refusal is removed when its cause may be gone; the log keeps it. */
+  /** The text of a refusal is removed when its cause is gone; the log keeps it. */
   #stillHindered() {
     if (!this.refusal.textContent && !this.#partly) return;
-    const now = this.store.hindrances(this.#refused);
-    if ([...this.#hindered].every((each) => now.has(each))) this.#hindered = now;
-    else {
-      this.#refuse("");
-      this.#noProgress();
+    if (this.#mayHold()) return;
+    this.#refuse("");
+    this.#noProgress();
+  }
+
+  /** By its code if that names a cause that is seen here; else by what hindered the robots then. */
+  #mayHold() {
+    const holds = causeHolds(this.#code, this.#refused.length ? this.#refused : this.store.ids(), this.store);
+    if (holds === null) {
+      const now = this.store.hindrances(this.#refused);
+      if (![...this.#hindered].every((each) => now.has(each))) return false;
+      this.#hindered = now;
+      return true;
     }
+    this.#seen ||= holds;
+    // A robot reports its cause a little later than it refuses.
+    return holds || (!this.#seen && performance.now() - this.#refused_ms < 1000 * SEEN_WITHIN_S);
   }
 
   #noProgress() {

@@ -135,8 +135,18 @@ export class Pointer {
     const near = Math.hypot(place.x - x, place.y - y) < DOUBLE_PX;
     const twice = near && event.timeStamp - ms < DOUBLE_MS;
     this.#lastClick = { ...place, ms: twice ? 0 : event.timeStamp };
-    if (twice && this.tools.mode === "select" && !robot) this.tools.goal(this.#world(place));
+    if (twice && this.tools.mode === "select") this.#twice(place, robot);
     else this.tools.click(this.#world(place), robot, event.shiftKey || event.ctrlKey || event.metaKey);
+  }
+
+  /**
+   * A double click on the ground is a goal, on a robot it opens its details.
+   * @param {Place} place
+   * @param {Placed | null} robot
+   */
+  #twice(place, robot) {
+    if (robot) this.tools.open(robot.id);
+    else this.tools.goal(this.#world(place));
   }
 
   /** @param {PointerEvent} event */

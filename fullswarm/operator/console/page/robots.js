@@ -1,8 +1,9 @@
 /** Draws what moves: robots with their state, goals, the filter's arrows, sensing radii. CSS pixels. */
 
+import { LINE_FROM_PX, LabelLayout, levelOfDetail } from "./labels.js";
+import { seconds } from "./link.js";
 import { actuatorText, kindOf, lampColour } from "./palette.js";
 import { outline } from "./sprites.js";
-import { seconds } from "./link.js";
 
 /** @import { Scene } from "./ground.js" */
 /** @import { Colours } from "./palette.js" */
@@ -13,71 +14,228 @@ import { seconds } from "./link.js";
 
 const LEAST_RADIUS_PX = 7;
 const LEAST_LAMP_PX = 3.5;
-const MOST_DASHED = 12;
 const ARROW_PX_PER_M_S = 90;
+const FEW = 3; // so many selected robots have their reasons beside them; of more only the one that is pointed at
+const MOST_LABELS = 200;
+const MARK_PX = 11;
+const RING_PX = 8;
+const STOP_SIGN_PX = 6;
+
+/** Which label gets its place first. */
+const RANK = { hovered: 0, alarm: 1, selected: 2, other: 3, words: 4 };
 
 /**
  * @typedef {{id: string, x: number, y: number, px: number, py: number, heading: number, radius: number,
- *   radius_px: number, info: Partial<Robot>}} Placed  a robot where it is drawn now
+ *   radius_px: number, info: Partial<Robot>, kind: {shape: string, letter: string}}} Placed
+ *   a robot where it is drawn now
  * @typedef {{x: number, y: number, place: boolean, radius_m: number | null}} Flag  CSS pixels; place: of a formation
+ * @typedef {import("./labels.js").Label & {words: string, size: number, ink: string, bold: boolean}} Text
  */
 
-/**
- * Place every robot for this frame.
- * @param {Store} store
- * @param {Viewport} view
- * @param {number} at_s
- * @returns {Placed[]}
- */
-export function placeRobots(store, view, at_s) {
-  const placed = [];
-  for (const [id, track] of store.tracks) {
-    const pose = track.pose(at_s);
-    if (!pose) continue;
-    const [px, py] = view.toScreen(pose[0], pose[1]);
-    const radius = store.radius(id);
-    const radius_px = Math.max(LEAST_RADIUS_PX, radius * view.scale);
-    placed.push({ id, x: pose[0], y: pose[1], px, py, heading: pose[2], radius, radius_px, info: store.info(id) });
+/** The robots of the map: where each is in this frame, and their picture. Its lists are the same ones in each frame. */
+export class RobotLayer {
+  constructor() {
+    this.placed = /** @type {Placed[]} */ ([]);
+    this.labels = /** @type {Text[]} */ ([]);
   }
-  return placed;
+
+  #known = /** @type {Map<string, Placed>} */ (new Map());
+  #fleet = /** @type {unknown} */ (null);
+  #mixed = false;
+  #pose = [0, 0, 0, 0];
+  #layout = new LabelLayout();
+  #discs = /** @type {import("./labels.js").Disc[]} */ ([]);
+  #discCount = 0;
+  #spare = /** @type {Text[]} */ ([]);
+
+  /**
+   * Place every robot for this frame.
+   * @param {Store} store
+   * @param {Viewport} view
+   * @param {number} at_s
+   */
+  place(store, view, at_s) {
+    const renewed = this.#fleet !== store.fleet;
+    this.#fleet = store.fleet;
+    this.placed.length = 0;
+    for (const [id, track] of store.tracks) {
+      const pose = track.pose(at_s, this.#pose);
+      if (!pose) continue;
+      const robot = this.#robot(id, store, renewed);
+      [robot.x, robot.y, robot.heading] = pose;
+      [robot.px, robot.py] = view.toScreen(robot.x, robot.y);
+      robot.radius_px = Math.max(LEAST_RADIUS_PX, robot.radius * view.scale);
+      this.placed.push(robot);
+    }
+    if (renewed) this.#forget(store);
+  }
+
+  /**
+   * @param {string} id
+   * @param {Store} store
+   * @param {boolean} renewed
+   */
+  #robot(id, store, renewed) {
+    let robot = this.#known.get(id);
+    if (robot && !renewed) return robot;
+    const info = store.info(id);
+    const kind = kindOf(info.make, info.driver, store.icons);
+    if (!robot) {
+      robot = { id, x: 0, y: 0, px: 0, py: 0, heading: 0, radius: 0, radius_px: 0, info, kind };
+      this.#known.set(id, robot);
+    }
+    return Object.assign(robot, { info, kind, radius: store.radius(id) });
+  }
+
+  /** @param {Store} store */
+  #forget(store) {
+    for (const id of this.#known.keys()) if (!store.tracks.has(id)) this.#known.delete(id);
+    this.#mixed = this.placed.some(({ kind }) => kind.letter !== this.placed[0].kind.letter);
+  }
+
+  /**
+   * Draw all robots, and above them the labels.
+   * @param {Scene} scene
+   * @param {Selection} selection
+   * @param {string | null} hovered
+   */
+  draw(scene, selection, hovered) {
+    const few = selection.ids.size <= FEW;
+    for (const robot of this.placed) {
+      const chosen = selection.has(robot.id);
+      if (chosen && (robot.id === hovered || selection.ids.size === 1)) drawSensing(scene, robot);
+    }
+    for (const robot of this.placed) drawFilter(scene, robot);
+    for (const robot of this.placed) {
+      drawRobot(scene, robot, selection.has(robot.id));
+      drawLamp(scene, robot);
+    }
+    this.#discCount = 0;
+    this.#spare.push(...this.labels);
+    this.labels.length = 0;
+    for (const robot of this.placed) {
+      const chosen = selection.has(robot.id);
+      this.#bodies(robot, chosen);
+      this.#wanted(scene, robot, chosen, few, robot.id === hovered);
+    }
+    this.#layout.place(this.labels, this.#discs, this.#discCount, scene.view);
+    for (const label of this.labels) if (label.shown) drawText(scene, label);
+  }
+
+  /**
+   * Note what labels must not cover: the robot, the signs on it.
+   * @param {Placed} robot
+   * @param {boolean} chosen
+   */
+  #bodies({ px, py, radius_px, info }, chosen) {
+    this.#disc(px, py, radius_px + (info.estop ? STOP_SIGN_PX : chosen ? RING_PX : 1));
+    const marked = !info.estop && (info.silent || info.attention);
+    if (marked) this.#disc(px - radius_px - 3, py - radius_px - 4, MARK_PX);
+  }
+
+  /**
+   * @param {number} x
+   * @param {number} y
+   * @param {number} reach
+   */
+  #disc(x, y, reach) {
+    const disc = this.#discs[this.#discCount] ?? (this.#discs[this.#discCount] = { x: 0, y: 0, reach: 0 });
+    [disc.x, disc.y, disc.reach] = [x, y, reach];
+    this.#discCount += 1;
+  }
+
+  /**
+   * Add the labels of a robot, as far as they are wanted at this size.
+   * @param {Scene} scene
+   * @param {Placed} robot
+   * @param {boolean} chosen
+   * @param {boolean} few
+   * @param {boolean} hovered
+   */
+  #wanted(scene, robot, chosen, few, hovered) {
+    const { info } = robot;
+    const { view, store, colours } = scene;
+    if (this.labels.length >= MOST_LABELS || robot.px < -50 || robot.py < -50 || robot.px > view.width + 50 || robot.py > view.height + 50) return;
+    const level = levelOfDetail(robot.radius * view.scale);
+    const alarm = Boolean(info.silent || info.estop || info.attention);
+    const close = hovered || (chosen && few);
+    if (level === "alarms" && !alarm && !close) return;
+    const rank = hovered ? RANK.hovered : alarm ? RANK.alarm : chosen ? RANK.selected : RANK.other;
+    const ink = info.estop || info.silent ? colours.alarm : colours.ink;
+    const words = level === "all" || close ? labelWords(robot, this.#mixed) : robot.id;
+    this.#text(scene, robot, "", words, rank, chosen || hovered ? 15 : 13, ink, chosen || hovered);
+    if (!close) return;
+    const reason = store.filter.get(robot.id)?.[2];
+    if (reason) this.#text(scene, robot, " filter", reason, RANK.words, 13, colours.filter, false);
+    const actuators = actuatorText(info);
+    if (actuators) this.#text(scene, robot, " parts", actuators, RANK.words, 13, colours.ink, false);
+  }
+
+  /**
+   * @param {Scene} scene
+   * @param {Placed} robot
+   * @param {string} part
+   * @param {string} words
+   * @param {number} rank
+   * @param {number} size
+   * @param {string} ink
+   * @param {boolean} bold
+   */
+  #text({ sprites, colours, dpr }, robot, part, words, rank, size, ink, bold) {
+    const sprite = sprites.text(words, { size: Math.round(size * dpr), ink, halo: colours.halo, bold });
+    const text = this.#spare.pop() ?? /** @type {Text} */ ({});
+    const reach = robot.radius_px + (robot.info.estop ? STOP_SIGN_PX : bold ? RING_PX : 1);
+    Object.assign(text, {
+      key: robot.id + part, rank, x: robot.px, y: robot.py, reach, width: sprite.width / dpr, height: sprite.height / dpr,
+      left: 0, top: 0, gap: 0, far: rank <= RANK.alarm, shown: false, words, size, ink, bold,
+    });
+    this.labels.push(text);
+  }
 }
 
 /**
- * Draw all robots, the selected ones last and with their labels.
- * @param {Scene} scene
- * @param {Placed[]} placed
- * @param {Selection} selection
- * @param {string | null} hovered
+ * Shapes tell the makes apart, letters name them.
+ * @param {Placed} robot
+ * @param {boolean} mixed
  */
-export function drawRobots(scene, placed, selection, hovered) {
-  const crowded = placed.length > 60 && scene.view.scale < 30;
-  const mixed = new Set(placed.map(({ info }) => kindOf(info.make, info.driver, scene.store.icons).letter)).size > 1;
-  drawSensing(scene, placed.filter((robot) => selection.has(robot.id)));
-  for (const robot of placed) drawFilter(scene, robot, selection.has(robot.id) || robot.id === hovered);
-  for (const robot of placed) drawRobot(scene, robot, selection.has(robot.id));
-  for (const robot of placed) {
-    const chosen = selection.has(robot.id) || robot.id === hovered;
-    drawActuators(scene, robot, chosen);
-    if (chosen || !crowded || robot.info.attention) drawLabel(scene, robot, chosen, mixed);
-  }
+function labelWords({ id, info, kind }, mixed) {
+  const name = mixed ? `${id} ${kind.letter}` : id;
+  if (info.silent) return `${name} · silent ${seconds(info.age_s ?? 0)}`;
+  return info.estop ? `${name} · E-STOP` : name;
 }
 
 /**
- * One path for all; dashes of many circles would cost more than everything else.
  * @param {Scene} scene
- * @param {Placed[]} robots
+ * @param {Text} text
  */
-function drawSensing({ context, view, store, colours }, robots) {
-  if (!store.sensing_radius_m || robots.length === 0) return;
-  const radius_px = store.sensing_radius_m * view.scale;
+function drawText({ context, sprites, colours, dpr }, text) {
+  const { words, size, ink, bold, left, top, width, height, x, y, reach, gap } = text;
+  if (gap > LINE_FROM_PX) {
+    const [dx, dy] = [Math.max(left, Math.min(x, left + width)) - x, Math.max(top, Math.min(y, top + height)) - y];
+    const share = reach / Math.max(reach, Math.hypot(dx, dy));
+    context.strokeStyle = ink;
+    context.lineWidth = 1;
+    context.beginPath();
+    context.moveTo(x + share * dx, y + share * dy);
+    context.lineTo(x + dx, y + dy);
+    context.stroke();
+  }
+  const sprite = sprites.text(words, { size: Math.round(size * dpr), ink, halo: colours.halo, bold });
+  context.drawImage(sprite, left, top, width, height);
+}
+
+/**
+ * How far a robot detects others: of one that is selected alone or pointed at.
+ * @param {Scene} scene
+ * @param {Placed} robot
+ */
+function drawSensing({ context, view, store, colours }, { px, py }) {
+  if (!store.sensing_radius_m) return;
   context.strokeStyle = colours.sensing;
-  context.lineWidth = robots.length > MOST_DASHED ? 0.75 : 1.25;
-  if (robots.length <= MOST_DASHED) context.setLineDash([4, 5]);
+  context.lineWidth = 1.25;
+  context.setLineDash([4, 5]);
   context.beginPath();
-  for (const { px, py } of robots) {
-    context.moveTo(px + radius_px, py);
-    context.arc(px, py, radius_px, 0, 2 * Math.PI);
-  }
+  context.arc(px, py, store.sensing_radius_m * view.scale, 0, 2 * Math.PI);
   context.stroke();
   context.setLineDash([]);
 }
@@ -89,9 +247,8 @@ function drawSensing({ context, view, store, colours }, robots) {
  */
 function drawRobot(scene, robot, selected) {
   const { context, sprites, store, colours, dpr } = scene;
-  const { info, px, py, radius_px } = robot;
+  const { info, kind, px, py, radius_px } = robot;
   const look = store.looks.of(info.behaviour);
-  const kind = kindOf(info.make, info.driver, store.icons);
   const silent = Boolean(info.silent);
   const sprite = sprites.body({
     shape: kind.shape,
@@ -197,73 +354,36 @@ function drawMark(context, { px, py, radius_px }, sign, colours) {
 }
 
 /**
+ * A lamp that is on, in its colour.
  * @param {Scene} scene
  * @param {Placed} robot
- * @param {boolean} chosen
- * @param {boolean} mixed
  */
-function drawLabel(scene, robot, chosen, mixed) {
-  const { context, sprites, store, colours, dpr } = scene;
-  const { info, px, py, radius_px } = robot;
-  const { letter } = kindOf(info.make, info.driver, store.icons);
-  const words = [mixed ? `${robot.id} ${letter}` : robot.id]; // shapes tell the makes apart, letters name them
-  if (info.silent) words.push(`silent ${seconds(info.age_s ?? 0)}`);
-  else if (info.estop) words.push("E-STOP");
-  const sprite = sprites.text(words.join(" · "), {
-    size: Math.round((chosen ? 15 : 13) * dpr),
-    ink: info.estop || info.silent ? colours.alarm : colours.ink,
-    halo: colours.halo,
-    bold: chosen,
-  });
-  const [x, y] = [px + radius_px + (info.estop || chosen ? 6 : 2), py - radius_px - 10];
-  context.drawImage(sprite, x, y, sprite.width / dpr, sprite.height / dpr);
+function drawLamp({ context }, { px, py, radius_px, heading, info }) {
+  const lamp = info.silent ? undefined : lampColour(info);
+  if (!lamp) return;
+  const back = 0.45 * radius_px; // behind the arrow
+  context.beginPath();
+  context.arc(px - back * Math.cos(heading), py + back * Math.sin(heading), Math.max(LEAST_LAMP_PX, radius_px * 0.35), 0, 2 * Math.PI);
+  context.fillStyle = lamp;
+  context.fill();
+  context.lineWidth = 1.5;
+  context.strokeStyle = "#14202B";
+  context.stroke();
 }
 
 /**
- * A lamp that is on, in its colour, on any robot; all actuators in words below a robot that is selected or hovered.
+ * The filter's change of the velocity as an arrow.
  * @param {Scene} scene
  * @param {Placed} robot
- * @param {boolean} inWords
  */
-function drawActuators({ context, sprites, store, colours, dpr }, robot, inWords) {
-  const { px, py, radius_px, info } = robot;
-  const lamp = lampColour(info);
-  if (lamp && !info.silent) {
-    const back = 0.45 * radius_px; // behind the arrow
-    context.beginPath();
-    context.arc(px - back * Math.cos(robot.heading), py + back * Math.sin(robot.heading), Math.max(LEAST_LAMP_PX, radius_px * 0.35), 0, 2 * Math.PI);
-    context.fillStyle = lamp;
-    context.fill();
-    context.lineWidth = 1.5;
-    context.strokeStyle = "#14202B";
-    context.stroke();
-  }
-  const words = inWords ? actuatorText(info) : "";
-  if (!words) return;
-  const sprite = sprites.text(words, { size: Math.round(13 * dpr), ink: colours.ink, halo: colours.halo });
-  const y = py + (store.filter.has(robot.id) ? 22 : 4); // below the filter's reason
-  context.drawImage(sprite, px + radius_px + 4, y, sprite.width / dpr, sprite.height / dpr);
-}
-
-/**
- * The filter's change of the velocity as an arrow; its reason as text.
- * @param {Scene} scene
- * @param {Placed} robot
- * @param {boolean} withReason
- */
-function drawFilter(scene, robot, withReason) {
-  const change = scene.store.filter.get(robot.id);
+function drawFilter({ context, store, colours }, robot) {
+  const change = store.filter.get(robot.id);
   if (!change) return;
-  const { context, sprites, colours, dpr } = scene;
-  const [dx, dy, reason] = change;
+  const [dx, dy] = change;
   const size = Math.hypot(dx, dy);
-  if (size > 1e-3) {
-    const length = Math.min(60, 12 + size * ARROW_PX_PER_M_S) + robot.radius_px;
-    drawArrow(context, [robot.px, robot.py], [dx / size, -dy / size], length, colours);
-  }
-  if (!withReason || !reason) return;
-  const sprite = sprites.text(reason, { size: Math.round(13 * dpr), ink: colours.filter, halo: colours.halo });
-  context.drawImage(sprite, robot.px + robot.radius_px + 4, robot.py + 4, sprite.width / dpr, sprite.height / dpr);
+  if (size <= 1e-3) return;
+  const length = Math.min(60, 12 + size * ARROW_PX_PER_M_S) + robot.radius_px;
+  drawArrow(context, [robot.px, robot.py], [dx / size, -dy / size], length, colours);
 }
 
 /**

@@ -5,7 +5,7 @@ import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
-/** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, World } from "./types.d.ts" */
+/** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Detail, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
 
 const COUNTED = new Intl.Collator("en", { numeric: true }); // ten times as fast as localeCompare
 const LOG_KEPT = 500;
@@ -14,13 +14,13 @@ const CHART_KEPT = 1200;
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
  * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study,
- * underlay, cameras, picture; timeline, history, events (all), event, bookmarks, clip.
+ * underlay, cameras, picture, undo, detail; timeline, history, events (all), event, bookmarks, clip.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
  *   goals: Store["goals"], docks: Dock[], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
  *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study,
  *   underlay: UnderlayFrame, cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string},
- *   timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
+ *   undo: UndoFrame, detail: Detail, timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
  *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame}>}
  */
 export class Store extends Emitter {
@@ -34,6 +34,7 @@ export class Store extends Emitter {
     this.sensing_radius_m = /** @type {number | null} */ (null);
     this.behaviours = /** @type {Record<string, Behaviour>} */ ({});
     this.groups = /** @type {Record<string, string[]>} */ ({});
+    this.own_groups = /** @type {string[]} */ ([]); // those that consoles have made
     this.looks = new Looks();
     this.tracks = /** @type {Map<string, Track>} */ (new Map());
     this.clock = /** @type {{update: (at_s: number, now_s: number) => void, drawn: (now_s: number) => number}} */ (new ServerClock());
@@ -111,12 +112,12 @@ export class Store extends Emitter {
     if (!this.hub) found.add("hub");
     if (this.core_age_s === null || this.core_age_s > OLD_S) found.add("core");
     for (const id of ids.length ? ids : this.ids()) {
-      const { estop, silent, fault, stop_reason: stopped, stop_code: code, lifecycle } = this.info(id);
+      const { estop, silent, fault, stop_reason: stopped, lifecycle, ended, attention } = this.info(id);
       const lease = this.leases.get(id);
       if (estop) found.add(`${id} e-stop`);
       if (silent) found.add(`${id} silent`);
       if (fault || lifecycle === "FAULT") found.add(`${id} fault`);
-      if (stopped && code !== "settled" && code !== "arrived") found.add(`${id} ${stopped}`);
+      if (stopped && attention && !ended) found.add(`${id} ${stopped}`);
       if (lease && !lease.mine) found.add(`${id} held`);
     }
     return found;
@@ -150,13 +151,16 @@ export class Store extends Emitter {
     event: ({ event }) => this.emit("event", event),
     bookmarks: (message) => this.emit("bookmarks", message),
     clip: (message) => this.emit("clip", message),
+    undo: (message) => this.emit("undo", message),
+    detail: (message) => this.emit("detail", message),
   });
 
   /**
    * Go to another time: robots, charts and log are those of then. What else there was follows as messages.
    * @param {{tracks: Map<string, Track>, charts: ChartRow[], log: Entry[], at_s: number}} then
    */
-  rewind({ tracks, charts, log, at_s }) {
+  rewind({ tracks, charts, log: lines, at_s }) {
+    const log = newestOfEach(lines);
     Object.assign(this, { tracks, charts, log, at_s, pending: null, filter: new Map(), goals: new Map(), coverage: null, obstacles: [] });
     this.#emitAll();
   }
@@ -167,10 +171,10 @@ export class Store extends Emitter {
    */
   adopt(other) {
     const tracks = new Map([...other.tracks].map(([id, track]) => [id, track.copy()]));
-    const { arena, boxes, behaviours, groups, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles } = other;
+    const { arena, boxes, behaviours, groups, own_groups, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles } = other;
     const { hub, core_age_s, nodes, missing, docks, leases, missions, clock } = other;
     Object.assign(this, {
-      arena, boxes, behaviours, groups, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles, hub,
+      arena, boxes, behaviours, groups, own_groups, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles, hub,
       core_age_s, nodes, missing, docks, leases, missions, clock, tracks, fleet: new Map(other.fleet),
       charts: [...other.charts], log: [...other.log], pending: null,
     });
@@ -227,6 +231,7 @@ export class Store extends Emitter {
     this.sensing_radius_m = message.sensing_radius_m ?? this.sensing_radius_m;
     this.behaviours = message.behaviours ?? this.behaviours;
     this.groups = message.groups ?? this.groups;
+    this.own_groups = message.own_groups ?? this.own_groups;
     this.looks = new Looks(Object.keys(this.behaviours));
     this.emit("world", message);
   }
@@ -277,10 +282,20 @@ export class Store extends Emitter {
 
   /** @param {Entry} entry */
   #log(entry) {
+    if ((entry.count ?? 1) > 1) this.log = this.log.filter(({ number }) => number !== entry.number);
     this.log.push(entry);
     if (this.log.length > LOG_KEPT) this.log.shift();
     this.emit("log", entry);
   }
+}
+
+/**
+ * Leave out the lines that a later one with the same number repeats, with a count.
+ * @param {Entry[]} log
+ */
+export function newestOfEach(log) {
+  const last = new Map(log.map((entry, k) => [entry.number ?? -k - 1, k]));
+  return log.filter((entry, k) => last.get(entry.number ?? -k - 1) === k);
 }
 
 /**

@@ -17,8 +17,8 @@ const PREVIEWED = 40; // robots; more would make the drag stutter
  */
 
 /**
- * Emits "change" when another tool is taken, "draw" when its picture changed.
- * @extends {Emitter<{change: undefined, draw: undefined}>}
+ * Emits "change" when another tool is taken, "draw" when its picture changed, "open" for the details of a robot.
+ * @extends {Emitter<{change: undefined, draw: undefined, open: string}>}
  */
 export class Tools extends Emitter {
   /**
@@ -165,8 +165,18 @@ export class Tools extends Emitter {
     return true;
   }
 
-  /** Enter at the crosshair: a click; for a formation first its middle, then its edge. */
+  /**
+   * Ask for the details of a robot.
+   * @param {string} id
+   */
+  open(id) {
+    this.emit("open", id);
+  }
+
+  /** Enter at the crosshair: a click; for a formation first its middle, then its edge. Without a tool: details. */
   enter() {
+    const [first] = this.selection.list();
+    if (this.mode === "select" && first) return this.open(first);
     if (!this.cursor) return;
     if (this.mode !== "formation") this.click(this.cursor, null, false);
     else if (this.drag) this.dragEnd([], false);

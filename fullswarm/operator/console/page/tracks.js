@@ -62,22 +62,22 @@ export class Track {
   /**
    * Return [x, y, heading, speed] at a time of the server; held at the ends.
    * @param {number} at_s
+   * @param {number[]} [into] what is filled and returned; by default a new array
    */
-  pose(at_s) {
+  pose(at_s, into = [0, 0, 0, 0]) {
     const states = this.states;
     for (let i = states.length - 1; i > 0; i -= 1) {
       const [from, to] = [states[i - 1], states[i]];
-      if (at_s >= to[0]) return to.slice(1);
+      if (at_s >= to[0]) return held(to, into);
       if (at_s < from[0]) continue;
       const share = (at_s - from[0]) / (to[0] - from[0]);
-      return [
-        from[1] + (to[1] - from[1]) * share,
-        from[2] + (to[2] - from[2]) * share,
-        mixAngle(from[3], to[3], share),
-        from[4] + (to[4] - from[4]) * share,
-      ];
+      into[0] = from[1] + (to[1] - from[1]) * share;
+      into[1] = from[2] + (to[2] - from[2]) * share;
+      into[2] = mixAngle(from[3], to[3], share);
+      into[3] = from[4] + (to[4] - from[4]) * share;
+      return into;
     }
-    return states.length ? states[0].slice(1) : null;
+    return states.length ? held(states[0], into) : null;
   }
 
   /** Return the same, to go on by itself. */
@@ -109,4 +109,13 @@ export class Track {
     if (far && (!last || at_s - last[0] >= TRAIL_STEP_S)) this.trail.push([at_s, x, y]);
     while (this.trail.length && this.trail[0][0] < at_s - TRAIL_S) this.trail.shift();
   }
+}
+
+/**
+ * @param {number[]} state
+ * @param {number[]} into
+ */
+function held(state, into) {
+  for (let k = 0; k < 4; k += 1) into[k] = state[k + 1];
+  return into;
 }

@@ -16,16 +16,22 @@ export interface Robot {
   firmware: string;
   lifecycle: string;
   behaviour: string;
+  request_id: string;
+  moving: boolean;
   estop: boolean;
   state: string;
   state_word: string;
   state_why: string;
   attention: boolean;
+  brief: string; // what is wrong, in a word or two; empty: nothing
+  ended: string; // how its last behaviour has ended, as was intended; empty: otherwise
   stop_reason: string;
   stop_code: string;
   fault: string;
   advice: string;
   battery: number | null;
+  contacts: number;
+  collisions: number;
   radius_m: number | null;
   filter_note: string;
   pose_by: string;
@@ -49,6 +55,7 @@ export interface Parameter {
 }
 
 export interface Behaviour {
+  title?: string;
   summary?: string;
   filtered?: boolean;
   expires_s?: number;
@@ -65,6 +72,7 @@ export interface Shown {
   sensing_radius_m: number | null;
   behaviours: Record<string, Behaviour>;
   groups: Record<string, string[]>;
+  own_groups: string[];
 }
 
 /** What is drawn under the map. `place`: size of a pixel (m), lower left corner (m), yaw; null: it fills the arena. */
@@ -94,6 +102,8 @@ export interface Entry {
   robots: string[];
   request_id: string;
   mine: boolean;
+  number: number; // the same if the line is repeated
+  count: number;
 }
 
 export interface NodeState {
@@ -307,6 +317,41 @@ export interface ClipFrame {
   name: string;
 }
 
+/** What undoes the newest request; words and refusal empty: there is nothing to undo. */
+export interface UndoFrame {
+  t: "undo";
+  id: string;
+  words: string; // what it would do
+  refusal: string; // why it cannot be undone
+}
+
+/** One robot, whose pane is open. Times of samples are relative to now. */
+export interface Detail {
+  t: "detail";
+  robot: string;
+  pose: {
+    x_m: number | null;
+    y_m: number | null;
+    heading_rad: number | null;
+    source: string;
+    note: string;
+    sigma_m: number | null;
+    heading_sigma_rad: number | null;
+    sources: { sensor: string; marker?: string; used?: boolean; refused?: string; age_s?: number; residual_m?: number }[];
+  };
+  motion: [ago_s: number, speed_m_s: number, command_m_s: number][];
+  battery: [ago_s: number, share: number][];
+  messages: { clock: string; text: string }[];
+  turn_rad_s: number | null;
+  command_rad_s: number | null;
+  deviation_m_s: number | null;
+  deviation_m: number | null;
+  round_trip_s: number | null;
+  dropped: Record<string, number>;
+  order: { behaviour: string; parameters: Record<string, unknown>; operator: string; request_id: string } | null;
+  requests: { clock: string; behaviour: string; operator: string; outcome: string; code: string; reason: string }[];
+}
+
 /** A part of the past. Its first frames are the newest of each kind when it began. */
 export interface History {
   t: "history";
@@ -345,6 +390,8 @@ export type Message =
   | { t: "event"; event: TimeEvent }
   | { t: "bookmarks"; bookmarks: Bookmark[]; clips: string } // clips: why there can be none now; empty: there can
   | ClipFrame
+  | UndoFrame
+  | Detail
   | Lost;
 
 declare global {
