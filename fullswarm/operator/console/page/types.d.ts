@@ -16,6 +16,7 @@ export interface Robot {
   firmware: string;
   lifecycle: string;
   behaviour: string;
+  moving: boolean;
   estop: boolean;
   state: string;
   state_word: string;
