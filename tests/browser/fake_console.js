@@ -4,6 +4,9 @@
  */
 (options) => {
   const sent = [];
+  const now_ms = performance.now.bind(performance);
+  let skipped_ms = 0; // time that a test need not wait for
+  performance.now = () => now_ms() + skipped_ms;
   const swarm = {
     robots: options.robots, silent: [], trouble: {}, estop: [], behaviour: "flocking_bc", moving: true, leases: [],
     missions: [], mute: false,
@@ -98,5 +101,11 @@
 
   window.WebSocket = FakeSocket;
   setInterval(() => line?.tick(), 200);
-  window.fake = { sent, swarm, say: (message) => line.say(message), tick: () => line.tick(), ids };
+  /** Let time pass for what shows something for a while. */
+  function skip(ms) {
+    skipped_ms += ms;
+    line.tick();
+  }
+
+  window.fake = { sent, swarm, skip, ids, say: (message) => line.say(message), tick: () => line.tick() };
 }

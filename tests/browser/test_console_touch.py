@@ -38,7 +38,7 @@ class Hand:
 
     def up(self, number: int) -> None:
         del self.fingers[number]
-        self._send("touchEnd")
+        self._send("touchMove" if self.fingers else "touchEnd")  # the protocol: an end has no fingers left
 
     def cancel(self) -> None:
         """Take all away as the system does, for a call or a gesture of its own."""
@@ -159,7 +159,7 @@ def hide(console: Console) -> None:
 @pytest.mark.parametrize("way", WAYS)
 def test_whatever_takes_the_thumb_away_ends_it_at_once(console: Console, hand: Hand, way: str) -> None:
     console.page.evaluate(NOTE)
-    hand.push(0, -80)
+    hand.push(0, -120)
     drives(console, linear=0.5)
     begun_ms = console.now_ms()
     WAYS[way](console, hand)
@@ -171,14 +171,14 @@ def test_whatever_takes_the_thumb_away_ends_it_at_once(console: Console, hand: H
         assert not console.state["driving"], "the same touch does not drive on"
         hand.up(1)
     console.page.set_viewport_size(PHONE)
-    hand.push(0, -80)
+    hand.push(0, -120)
     console.until(lambda: console.state["driving"], 5.0, "a fresh touch drives")
 
 
 def test_a_second_finger_presses_the_e_stop_while_the_first_drives(console: Console, hand: Hand) -> None:
     for button in ("stop", "estop"):
         console.page.evaluate("fake.sent.length = 0")
-        hand.push(0, -80)
+        hand.push(0, -120)
         drives(console, linear=0.5)
         begun_ms = console.now_ms()
         hand.down(2, *hand.centre(f"#{button}"))
@@ -200,7 +200,7 @@ def test_a_tap_on_the_stop_sends_one(console: Console) -> None:
 
 
 def test_one_finger_owns_the_stick_and_others_move_the_map(console: Console, hand: Hand) -> None:
-    hand.push(0, -80)
+    hand.push(0, -120)
     drives(console, linear=0.5)
     x, y = hand.centre("#stick")
     hand.down(2, x + 20, y + 20)  # a second one on the stick
@@ -225,7 +225,7 @@ def test_one_finger_owns_the_stick_and_others_move_the_map(console: Console, han
 
 def test_without_robots_it_says_why_and_sends_nothing(console: Console, hand: Hand) -> None:
     console.press("Escape")
-    hand.push(0, -80)
+    hand.push(0, -120)
     expect(console.named("stick-words")).to_have_text("not driving: select robots")
     console.page.wait_for_timeout(150)
     assert sent(console, "drive") == []

@@ -4,8 +4,7 @@ import { byId, setFlag, setText } from "./dom.js";
 
 const KEPT_AS = "hand";
 
-/** The same conditions as in style.css: one panel at a time, and screens where bars fold away. */
-const TABBED = "(width < 1240px), (height < 640px)";
+/** The same conditions as in the style sheets. */
 const SMALL = "(width < 600px), (height < 640px)";
 const NARROW = "(width < 900px), (height < 640px)";
 
@@ -25,7 +24,7 @@ export class Layout {
     this.#menus();
     this.#skips();
     this.#steps();
-    matchMedia(TABBED).addEventListener("change", () => this.onChange());
+    addEventListener("resize", () => this.onChange()); // a tablet that is turned
     this.show("fleet");
     this.#drive(false);
     this.#hand(localStorage.getItem(KEPT_AS) ?? "right");
