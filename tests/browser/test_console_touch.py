@@ -12,8 +12,19 @@ from tests.browser.played import change, play, sent
 from tests.browser.states import show
 
 PHONE: ViewportSize = {"width": 390, "height": 844}
-AT_ONCE_MS = 100.0
-"""From the touch to the frame, on a machine with other work."""
+AT_ONCE_MS = 30.0
+"""From the event in the page to the frame: no timer lies between them."""
+NOTE = """() => {
+  window.events = [];
+  const note = (event) => {
+    window.events.push(performance.now());
+    if (event.type === "pointerdown") window.thumb ??= event.pointerId;
+  };
+  const touches = ["pointerdown", "pointerup", "pointercancel", "lostpointercapture"];
+  const others = ["blur", "visibilitychange", "pagehide", "keydown", "resize"];
+  for (const name of [...touches, ...others]) addEventListener(name, note, { capture: true });
+}"""
+"""Notes when something happens that may end the driving, and the first finger."""
 
 
 class Hand:
@@ -64,6 +75,7 @@ class Hand:
 @pytest.fixture(scope="module")
 def opened(browser: Browser) -> Iterator[Console]:
     console = play(browser, PHONE, has_touch=True)
+    console.page.evaluate(NOTE)
     yield console
     console.page.context.close()
 
@@ -73,7 +85,7 @@ def console(opened: Console) -> Iterator[Console]:
     show(opened, "fleet")
     opened.select(["r1"])
     show(opened, "drive")
-    opened.page.evaluate("fake.sent.length = 0")
+    opened.page.evaluate("fake.sent.length = 0; window.events.length = 0; window.thumb = null")
     yield opened
     opened.page.evaluate("window.shifts.splice(0)")
     opened.faultless()
@@ -96,11 +108,12 @@ def drives(console: Console, *, linear: float, angular: float = 0.0) -> None:
     console.until(says, 5.0, f"it drives at {linear}, {angular}")
 
 
-def ended(console: Console, begun_ms: float) -> None:
+def ended(console: Console) -> None:
     """Check that a release followed at once, and no further frame, though the finger may still be there."""
     console.until(lambda: bool(sent(console, "release")), 2.0, "the stick is released")
     released_ms = sent(console, "release")[0]["at_ms"]
-    assert released_ms - begun_ms < AT_ONCE_MS
+    causes: list[float] = console.page.evaluate("window.events")
+    assert min(released_ms - cause_ms for cause_ms in causes if cause_ms <= released_ms) < AT_ONCE_MS
     console.page.wait_for_timeout(250)
     assert all(frame["at_ms"] <= released_ms for frame in sent(console, "drive"))
     assert len(sent(console, "release")) == 1
@@ -130,9 +143,6 @@ LOSE = """() => {
   const lost = new PointerEvent("lostpointercapture", { pointerId: window.thumb });
   document.getElementById("stick").dispatchEvent(lost);
 }"""
-NOTE = (
-    """addEventListener("pointerdown", ({ pointerId }) => (window.thumb = pointerId), { once: true, capture: true })"""
-)
 WAYS: dict[str, Callable[[Console, Hand], object]] = {
     "lifted": lambda _, hand: hand.up(1),
     "cancelled": lambda _, hand: hand.cancel(),
@@ -158,12 +168,11 @@ def hide(console: Console) -> None:
 
 @pytest.mark.parametrize("way", WAYS)
 def test_whatever_takes_the_thumb_away_ends_it_at_once(console: Console, hand: Hand, way: str) -> None:
-    console.page.evaluate(NOTE)
     hand.push(0, -120)
     drives(console, linear=0.5)
-    begun_ms = console.now_ms()
+    console.page.evaluate("window.events.length = 0")
     WAYS[way](console, hand)
-    ended(console, begun_ms)
+    ended(console)
     if hand.fingers:
         x, y = hand.centre("#stick")
         hand.move(1, x, y - 60)
@@ -180,11 +189,11 @@ def test_a_second_finger_presses_the_e_stop_while_the_first_drives(console: Cons
         console.page.evaluate("fake.sent.length = 0")
         hand.push(0, -120)
         drives(console, linear=0.5)
-        begun_ms = console.now_ms()
+        console.page.evaluate("window.events.length = 0")
         hand.down(2, *hand.centre(f"#{button}"))
-        ended(console, begun_ms)
+        ended(console)
         assert len(sent(console, button)) == 1, "though no click comes of it"
-        assert sent(console, button)[0]["at_ms"] - begun_ms < AT_ONCE_MS
+        assert sent(console, button)[0]["at_ms"] - sent(console, "release")[0]["at_ms"] < AT_ONCE_MS
         hand.lift_all()
         console.page.wait_for_timeout(100)
         assert len(sent(console, button)) == 1, "once"

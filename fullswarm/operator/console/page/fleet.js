@@ -129,7 +129,8 @@ export class FleetTable {
    */
   #clicked(event, id, check) {
     if (event.target === check) return;
-    if (event.shiftKey || event.ctrlKey || event.metaKey) this.selection.toggle(id);
+    const beside = event.target instanceof Element && event.target.closest(".cell-check"); // a finger that misses the box
+    if (beside || event.shiftKey || event.ctrlKey || event.metaKey) this.selection.toggle(id);
     else this.selection.set([id]);
   }
 
