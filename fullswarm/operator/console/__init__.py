@@ -40,7 +40,7 @@ of ``index.html`` and a line in ``main.js``:
 ``commands.js``   requests and their answers, leases
 ``stops.js``      stop and e-stop: the panel, its receipts, what is shown and signalled while one is latched
 ``keyboard.js``   all keys
-``drive.js``      driving with arrow keys and a gamepad: which button does what
+``drive.js``      driving with arrow keys and a gamepad: which button does what; ``stick.js``: with a finger on the screen
 ``selection.js``  the selected robots
 ``fleet.js``      the table of robots; ``attention.js``: the strip above it that names those which need attention
 ``groups.js``     the groups, and making one of the selection
@@ -48,6 +48,8 @@ of ``index.html`` and a line in ``main.js``:
 ``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters; ``terms.js``: team, needs and roles;
                   ``refusals.js``: when a refusal's cause is gone; ``words.js``: titles, and states in words for people
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
+``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
+``summary.js``    the fleet in words
 ``camera.js``     the pictures of the cameras
 ``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;

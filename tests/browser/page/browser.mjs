@@ -60,6 +60,10 @@ class Element {
     this.attributes.set(name, value);
   }
 
+  getAttribute(name) {
+    return this.attributes.get(name) ?? null;
+  }
+
   append() {}
   replaceChildren() {}
   focus() {}

@@ -1,6 +1,6 @@
-/** Banners over the map: the state of the link, robots taken over, the question whether to take over. */
+/** Banners in a row above the map: the state of the link, robots taken over, the question whether to take over. */
 
-import { byId, setText } from "./dom.js";
+import { Emitter, byId, setText } from "./dom.js";
 import { short } from "./fleet.js";
 import { LINK_ADVICE, judgeLink } from "./link.js";
 
@@ -10,12 +10,17 @@ const CHECK_MS = 100;
 const LOST_MS = 12000;
 const TOLD_MS = 6000;
 
-export class Banners {
+/**
+ * Emits "level" when the state of the link changes.
+ * @extends {Emitter<{level: string}>}
+ */
+export class Banners extends Emitter {
   /**
    * @param {{link: import("./link.js").Link, store: import("./store.js").Store,
    *   commands: import("./commands.js").Commands, map: import("./map.js").SwarmMap}} parts
    */
   constructor({ link, store, commands, map }) {
+    super();
     this.link = link;
     this.store = store;
     this.map = map;
@@ -32,7 +37,7 @@ export class Banners {
     byId("question-no").addEventListener("click", () => (byId("question").hidden = true));
     byId("question-yes").addEventListener("click", () => this.#take());
     byId("lost-close").addEventListener("click", () => (byId("lost").hidden = true));
-    inOrderOfAppearance(byId("banners"));
+    inRows(byId("banners"));
     this.#check();
   }
 
@@ -43,11 +48,12 @@ export class Banners {
   #toldTimer = 0;
 
   /**
-   * Show a text over the map for a few seconds.
+   * Show a text above the map for a few seconds.
    * @param {string} words
    */
   hint(words) {
     setText(byId("hint"), words);
+    byId("hint").title = words;
     byId("hint").hidden = false;
     clearTimeout(this.#toldTimer);
     this.#toldTimer = setTimeout(() => (byId("hint").hidden = true), TOLD_MS);
@@ -68,6 +74,7 @@ export class Banners {
     setText(byId("link-spoken"), level === "live" ? "link live" : `${text}. ${LINK_ADVICE[level]}`);
     this.map.old = level === "old" || level === "hub" || level === "refused";
     this.map.touch();
+    this.emit("level", level);
   }
 
   /**
@@ -89,6 +96,7 @@ export class Banners {
     setText(byId("question-words"), `${short(robots)} ${verb} held by ${names}: take over?`);
     this.#takeOver = take;
     this.#questioned = robots;
+    byId("hint").hidden = true; // that it was refused goes without saying
     byId("question").hidden = false;
   }
 
@@ -107,15 +115,22 @@ export class Banners {
 }
 
 /**
- * Show each child that appears below those that are shown already: what is being read, or about to be clicked, stays.
+ * Give each child that appears the first free row, and leave it there: what is being read, or about to be clicked, stays
+ * where it is when another one appears or goes.
  * @param {HTMLElement} container
  */
-function inOrderOfAppearance(container) {
-  let appeared = 0;
+function inRows(container) {
+  const place = (/** @type {HTMLElement} */ shown) => {
+    const others = [...container.children].filter((each) => each !== shown && each instanceof HTMLElement && !each.hidden);
+    const taken = new Set(others.map((each) => /** @type {HTMLElement} */ (each).style.gridRow));
+    let row = 1;
+    while (taken.has(String(row))) row += 1;
+    shown.style.gridRow = String(row);
+  };
   const watch = new MutationObserver((changes) => {
     for (const { target, oldValue } of changes) {
       const appears = target instanceof HTMLElement && target.parentElement === container && oldValue !== null && !target.hidden;
-      if (appears) target.style.order = String(++appeared);
+      if (appears) place(target);
     }
   });
   watch.observe(container, { subtree: true, attributeFilter: ["hidden"], attributeOldValue: true });

@@ -11,7 +11,7 @@ const LEAST_MS = 34; // between frames, on average: the console closes pages tha
 const POLL_MS = 20;
 const BEHAVIOUR = "drive_bc";
 export const DEAD_ZONE = 0.12;
-const SLOW_SHARE = 0.5;
+export const SLOW_SHARE = 0.5;
 /** The gamepad's buttons by function, in the W3C standard mapping; the sticks' axes are in `readPad`. */
 const BUTTON = { estop: 1, deadman: 4, turbo: 5, up: 12, down: 13, left: 14, right: 15 };
 

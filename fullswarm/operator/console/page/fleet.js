@@ -30,7 +30,7 @@ export class FleetTable {
     this.commands = commands;
     this.open = open;
     this.body = byId("fleet-rows");
-    this.area = byId("fleet-area");
+    this.area = byId("fleet-region");
     for (const topic of /** @type {const} */ (["fleet", "robots", "leases", "world"])) store.on(topic, () => this.#show());
     selection.on("change", () => this.#select());
     for (const event of ["pointerleave", "focusout"]) this.area.addEventListener(event, () => this.#only && this.#show());
@@ -147,7 +147,8 @@ export class FleetTable {
    */
   #clicked(event, id, check) {
     if (event.target === check || event.target instanceof HTMLButtonElement) return;
-    if (event.shiftKey || event.ctrlKey || event.metaKey) this.selection.toggle(id);
+    const beside = event.target instanceof Element && event.target.closest(".cell-check"); // a finger that misses the box
+    if (beside || event.shiftKey || event.ctrlKey || event.metaKey) this.selection.toggle(id);
     else this.selection.set([id]);
   }
 

@@ -106,14 +106,3 @@ export class Keyboard {
     }
   }
 }
-
-/** Make the tabs of narrow screens; wide ones show everything at once. */
-export function tabs() {
-  const buttons = /** @type {HTMLElement[]} */ ([...byId("tabs").querySelectorAll("button")]);
-  const show = (/** @type {string} */ name) => {
-    document.body.dataset.tab = name;
-    for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset.tab === name));
-  };
-  for (const button of buttons) button.addEventListener("click", () => show(button.dataset.tab ?? ""));
-  show("fleet");
-}

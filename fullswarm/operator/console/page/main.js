@@ -3,12 +3,14 @@
  * index.html: see charts.js for the smallest.
  *
  * data      link.js (WebSocket), store.js (the newest of everything), tracks.js (positions between two states), types.d.ts
- * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js
+ * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js,
+ *           stick.js (a finger on the screen), signals.js (sound, vibration)
  * panels    fleet.js (table), attention.js (the strip above it), groups.js, detail.js (one robot; facts.js), panel.js
  *           (behaviours; field.js, forms.js, refusals.js), missions.js, charts.js, log.js, legend.js, camera.js, banners.js,
- *           study.js (the dialogs of a study); words.js (words for people)
- * map       map.js (the loop), ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js, pointer.js,
- *           toolbar.js, viewport.js, geometry.js, palette.js, theme.js
+ *           study.js (the dialogs of a study); words.js (words for people), summary.js (the fleet in words, spoken),
+ *           layout.js (tabs, menus)
+ * map       map.js (the loop), underlay.js, ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js,
+ *           pointer.js, toolbar.js, viewport.js, geometry.js, palette.js, theme.js
  * time      past.js (plays the past into the store that is shown), timeline.js (the bar below the map),
  *           marks.js (bookmarks, clips)
  *
@@ -25,7 +27,8 @@ import { DetailPane } from "./detail.js";
 import { ArrowDrive, Driver, Pad } from "./drive.js";
 import { FleetTable } from "./fleet.js";
 import { GroupBar } from "./groups.js";
-import { Keyboard, tabs } from "./keyboard.js";
+import { Keyboard } from "./keyboard.js";
+import { Layout } from "./layout.js";
 import { Legend } from "./legend.js";
 import { identity, Link } from "./link.js";
 import { LogView } from "./log.js";
@@ -36,9 +39,12 @@ import { Panel } from "./panel.js";
 import { Past } from "./past.js";
 import { Pointer } from "./pointer.js";
 import { Selection } from "./selection.js";
+import { Signals } from "./signals.js";
+import { Stick } from "./stick.js";
 import { Stops } from "./stops.js";
 import { Store } from "./store.js";
 import { Study } from "./study.js";
+import { Summary } from "./summary.js";
 import { Theme } from "./theme.js";
 import { TimeBar } from "./timeline.js";
 import { Toolbar } from "./toolbar.js";
@@ -67,6 +73,7 @@ const toolbar = new Toolbar({ map, tools, commands, store });
 const stops = new Stops(present, commands);
 const driver = new Driver({ link, store: present, selection, commands });
 const arrows = new ArrowDrive(driver);
+const stick = new Stick(driver);
 const pad = new Pad(driver, selection, () => stops.estop());
 new Pointer(map, tools);
 new Panel({ store: present, selection, commands, tools });
@@ -81,12 +88,14 @@ new FleetTable({ store, selection, commands, link, open: openDetail });
 new Legend(store);
 new Charts(store, theme);
 new LogView(store);
+new Summary(store);
+new Signals(present, banners);
 new Missions({ store, commands });
 new CameraView({ store: present, link });
 new Study({ store: present, link, selection, map, tools });
 const timeBar = new TimeBar({ past, present, commands });
 new Marks({ past, present, link, bar: timeBar });
-tabs();
+new Layout(() => stick.end());
 
 link.on("message", (message) => {
   if (past.live) store.apply(message);
@@ -105,6 +114,7 @@ past.on("change", () => {
 present.on("hello", ({ swarm, operator }) => {
   setText(byId("swarm"), swarm);
   setText(byId("operator"), operator);
+  byId("operator").title = operator;
   document.title = `${swarm} · fullswarm`;
 });
 
@@ -127,10 +137,15 @@ pad.on("change", showDriving);
 
 const releaseDriving = () => {
   arrows.end();
+  stick.end();
   driver.release();
 };
 document.addEventListener("visibilitychange", () => document.hidden && releaseDriving());
 for (const name of ["blur", "pagehide"]) addEventListener(name, releaseDriving);
+stops.on("pressed", (what) => {
+  stick.end();
+  if (what === "estop") releaseDriving();
+});
 
 const help = byId("help-panel");
 function toggleHelp(open = help.hidden) {

@@ -1,6 +1,7 @@
 /** Stop and e-stop: one key, receipts of every robot, and clearing as an act of its own. */
 
-import { byId, make, setText } from "./dom.js";
+import { Emitter, byId, make, setFlag, setText } from "./dom.js";
+import { narrow } from "./layout.js";
 import { byNumber } from "./store.js";
 
 /** @import { Unsent } from "./commands.js" */
@@ -9,22 +10,28 @@ import { byNumber } from "./store.js";
 const HOLD_MS = 1500;
 const SHOWN_MS = 15000;
 const AFTER_MS = 5000;
+const CLICK_MS = 1000; // after a press its click means nothing more
 const UNSENT = /** @type {Record<string, string>} */ ({
   unsent: "NOT SENT: no link to the console. It goes out if the link is back within 10 s.",
   broken: "NOT CONFIRMED: the link to the console broke. It goes out again if the link is back within 10 s.",
   mute: "NOT CONFIRMED: the console gave no answer. Press again.",
 });
 
-export class Stops {
+/**
+ * Emits "pressed" with what was pressed, before it is sent.
+ * @extends {Emitter<{pressed: "stop" | "estop"}>}
+ */
+export class Stops extends Emitter {
   /**
    * @param {import("./store.js").Store} store
    * @param {import("./commands.js").Commands} commands
    */
   constructor(store, commands) {
+    super();
     this.store = store;
     this.commands = commands;
-    byId("stop").addEventListener("click", () => this.stop());
-    byId("estop").addEventListener("click", () => this.estop());
+    atOnce(byId("stop"), () => this.stop());
+    atOnce(byId("estop"), () => this.estop());
     byId("stop-close").addEventListener("click", () => this.#closeStop());
     byId("estop-clear").addEventListener("click", () => this.#openClear());
     byId("estop-fold").addEventListener("click", () => this.#fold());
@@ -41,16 +48,18 @@ export class Stops {
   #failed = ""; // why the last e-stop was not sent, until another one is received
 
   stop() {
+    this.emit("pressed", "stop");
     this.#showState("Stop sent to all robots: waiting for receipts", "");
     this.commands.stop();
   }
 
   estop() {
+    this.emit("pressed", "estop");
     this.#order ??= "";
     this.#failed = "";
     this.#upUntil_ms = performance.now() + AFTER_MS;
     this.#showPanel(true);
-    byId("estop-body").hidden = false;
+    this.#unfold(!narrow());
     setText(byId("estop-title"), "E-stop sent to all robots");
     this.commands.estop("pressed on the console");
   }
@@ -99,7 +108,7 @@ export class Stops {
     const old = order.done && this.#order === null;
     if (!old) this.#upUntil_ms = performance.now() + AFTER_MS;
     if (order.id !== this.#order) this.#failed = "";
-    if (order.id !== this.#order && !old) byId("estop-body").hidden = false;
+    if (order.id !== this.#order && !old) this.#unfold(!narrow());
     this.#order = order.id;
     this.#showEstop();
   }
@@ -119,7 +128,7 @@ export class Stops {
   }
 
   /**
-   * The panel is beside the map, never over it.
+   * The panel is beside or below the map, never over it.
    * @param {boolean} up
    */
   #showPanel(up) {
@@ -150,20 +159,36 @@ export class Stops {
   }
 
   #fold() {
-    const body = byId("estop-body");
-    body.hidden = !body.hidden;
-    byId("estop-fold").setAttribute("aria-expanded", String(!body.hidden));
+    if (narrow()) this.#closeClear();
+    this.#unfold(byId("estop-body").hidden);
+  }
+
+  /**
+   * Show or hide the receipts; on small screens they take the place of a panel, so that they wait until they are asked for.
+   * @param {boolean} open
+   */
+  #unfold(open) {
+    byId("estop-body").hidden = !open;
+    setFlag(byId("estop-fold"), "aria-expanded", open);
+    this.#mark();
   }
 
   #openClear() {
     byId("estop-clear-act").hidden = false;
-    byId("estop-clear").setAttribute("aria-expanded", "true");
-    byId("estop-clear-hold").focus();
+    setFlag(byId("estop-clear"), "aria-expanded", true);
+    this.#mark();
+    byId("estop-clear-hold").focus({ preventScroll: true });
   }
 
   #closeClear() {
     byId("estop-clear-act").hidden = true;
-    byId("estop-clear").setAttribute("aria-expanded", "false");
+    setFlag(byId("estop-clear"), "aria-expanded", false);
+    this.#mark();
+  }
+
+  /** Tell the style sheet whether there is more than one line. */
+  #mark() {
+    byId("estop-panel").dataset.open = String(!byId("estop-body").hidden || !byId("estop-clear-act").hidden);
   }
 
   /**
@@ -191,6 +216,24 @@ export class Stops {
     button.addEventListener("keyup", end);
     button.addEventListener("contextmenu", (event) => event.preventDefault());
   }
+}
+
+/**
+ * Act when a button is pressed, not when it is released: a finger counts too while another one drives, which makes no
+ * click. A click without a press is one of the keyboard, or of a screen reader.
+ * @param {HTMLElement} button
+ * @param {() => void} act
+ */
+function atOnce(button, act) {
+  let pressed_ms = -Infinity;
+  button.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
+    pressed_ms = performance.now();
+    act();
+  });
+  button.addEventListener("click", (event) => {
+    if (event.detail === 0 || performance.now() - pressed_ms > CLICK_MS) act();
+  });
 }
 
 /**

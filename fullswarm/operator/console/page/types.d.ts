@@ -16,7 +16,6 @@ export interface Robot {
   firmware: string;
   lifecycle: string;
   behaviour: string;
-  request_id: string;
   moving: boolean;
   estop: boolean;
   state: string;

@@ -60,9 +60,9 @@ export class Viewport {
   /**
    * Show the whole of a box (x0, y0, x1, y1 in metres) with some room around it.
    * @param {Box} box
-   * @param {number} [margin_px]
+   * @param {number} [margin_px]  less on a small map
    */
-  fit([x0, y0, x1, y1], margin_px = 28) {
+  fit([x0, y0, x1, y1], margin_px = Math.min(28, 0.07 * Math.min(this.width, this.height))) {
     const wide = Math.max(x1 - x0, 0.5);
     const high = Math.max(y1 - y0, 0.5);
     this.centre = [(x0 + x1) / 2, (y0 + y1) / 2];

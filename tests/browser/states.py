@@ -1,0 +1,193 @@
+"""The states of the page that are looked at in all sizes, and how it gets into each of them, with a played console."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+from playwright.sync_api import expect
+
+from tests.browser.console import Console
+from tests.browser.played import change
+
+SIZES = ((1440, 900), (1024, 700), (768, 1024), (390, 844), (844, 390), (720, 450))
+"""The last one is a laptop's screen at 200 %."""
+GEOMETRY = Path(__file__).with_name("geometry.js").read_text()
+LEAST_ROWS = 4
+"""Of the fleet, seen whole where it is shown and none is in trouble."""
+State = Callable[[Console], AbstractContextManager[None]]
+
+
+def complaints(console: Console, *, coarse: bool, name: str = "") -> list[str]:
+    """Return what is wrong with where things are, one line each."""
+    size = console.page.viewport_size
+    assert size is not None
+    low = size["height"] < 640
+    rows = {"fleet": LEAST_ROWS - low, "trouble": LEAST_ROWS - 1 - low}.get(name, 0)
+    found: list[str] = console.page.evaluate(f"({GEOMETRY})({{ coarse: {str(coarse).lower()}, rows: {rows} }})")
+    return found
+
+
+def show(console: Console, panel: str) -> None:
+    """Show a panel, where there are tabs."""
+    tab = console.page.locator(f'#tabs [data-tab="{panel}"]')
+    if tab.is_visible():
+        tab.click()
+
+
+@contextmanager
+def fleet(console: Console) -> Iterator[None]:
+    show(console, "fleet")
+    yield
+
+
+@contextmanager
+def trouble(console: Console) -> Iterator[None]:
+    """One robot needs attention, for a reason that takes some words."""
+    show(console, "fleet")
+    change(console, trouble={"r3": ["cliff", "a cliff sensor sees no floor at the front left"]})
+    yield
+    change(console, trouble={})
+
+
+@contextmanager
+def estop(console: Console) -> Iterator[None]:
+    """All have latched, and it is asked whether all people are clear of them."""
+    show(console, "fleet")
+    latch(console)
+    yield
+    release(console)
+
+
+@contextmanager
+def receipts(console: Console) -> Iterator[None]:
+    latch(console)
+    fold = console.page.locator("#estop-fold")
+    if fold.get_attribute("aria-expanded") == "false":
+        fold.click()
+    yield
+    release(console)
+
+
+@contextmanager
+def clearing(console: Console) -> Iterator[None]:
+    latch(console)
+    console.named("estop-clear").click()
+    expect(console.named("estop-clear-hold")).to_be_visible()
+    yield
+    release(console)
+
+
+def latch(console: Console) -> None:
+    console.page.evaluate("""() => {
+      const ids = fake.ids();
+      Object.assign(fake.swarm, { estop: ids });
+      const stood = { standing: true, rolled_m: 0.02, engaged: true };
+      const receipts = ids.map((robot, k) => ({ robot, after_s: 0.1 + k / 50, ...stood }));
+      fake.say({ t: "estop", id: "e1", engaged: true, done: true, receipts, waiting: [], silent: [] });
+      fake.tick();
+    }""")
+    expect(console.page.locator("#estop-title")).to_contain_text("confirmed standing")
+
+
+def release(console: Console) -> None:
+    console.page.evaluate("""() => {
+      Object.assign(fake.swarm, { estop: [] });
+      fake.say({ t: "estop", id: "e2", engaged: false, done: true, receipts: [], waiting: [], silent: [] });
+      fake.tick();
+      fake.skip(6000);
+    }""")
+    expect(console.page.locator("#estop-panel")).to_be_hidden()
+
+
+@contextmanager
+def form(console: Console) -> Iterator[None]:
+    """The form of a behaviour with many parameters."""
+    show(console, "behaviours")
+    console.named("behaviour-flocking_bc").click()
+    expect(console.named("start")).to_be_visible()
+    yield
+    console.named("form-back").click()
+
+
+@contextmanager
+def question(console: Console) -> Iterator[None]:
+    """Another operator holds the robots."""
+    show(console, "fleet")
+    leases = [{"robot": robot, "operator": "ben@workshop", "taken_from": "", "mine": False} for robot in ("r2", "r3")]
+    change(console, leases=leases)
+    console.select(["r2"])
+    console.page.evaluate("document.querySelector('#map').focus()")
+    console.page.keyboard.press("Shift+ArrowUp")  # driving asks whether to take over
+    expect(console.named("question")).to_be_visible()
+    yield
+    console.page.locator("#question-no").click()
+    console.press("Escape")
+    change(console, leases=[])
+
+
+@contextmanager
+def missions(console: Console) -> Iterator[None]:
+    steps = [
+        {
+            "name": name, "behaviour": "flocking_bc", "phase": phase, "robots": ["r1", "r2"], "elapsed_s": 12.0,
+            "waits_for": waits, "confirm": confirm, "reason": "",
+        }
+        for name, phase, waits, confirm in (
+            ("roam", "done", [], ""),
+            ("ask", "running", [], "Is the hall clear?"),
+            ("meet", "waiting", ["after: west/ask"], ""),
+        )
+    ]  # fmt: skip
+    tour = {"mission": "m1", "name": "tour", "phase": "running", "operator": "berta", "reason": "", "silent": False,
+            "tracks": [{"name": "west", "steps": steps}, {"name": "east", "steps": steps[2:]}]}  # fmt: skip
+    change(console, missions=[tour])
+    show(console, "missions")
+    toggle = console.named("missions-toggle")
+    if toggle.is_visible() and toggle.get_attribute("aria-pressed") == "false":
+        toggle.click()
+    expect(console.named("mission-tour")).to_be_visible()
+    yield
+    change(console, missions=[])
+    if toggle.is_visible():
+        toggle.click()
+
+
+@contextmanager
+def bookmarks(console: Console) -> Iterator[None]:
+    show(console, "fleet")
+    console.named("time-more").click()
+    expect(console.named("mark-add")).to_be_visible()
+    yield
+    console.named("time-close").click()
+
+
+@contextmanager
+def stick(console: Console) -> Iterator[None]:
+    show(console, "drive")
+    toggle = console.named("drive-toggle")
+    if toggle.is_visible():
+        toggle.click()
+    expect(console.named("stick")).to_be_visible()
+    yield
+    if toggle.is_visible():
+        toggle.click()
+
+
+@contextmanager
+def charts(console: Console) -> Iterator[None]:
+    show(console, "charts")
+    yield
+
+
+@contextmanager
+def log(console: Console) -> Iterator[None]:
+    show(console, "log")
+    yield
+
+
+STATES: dict[str, State] = {
+    "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
+    "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts, "log": log,
+}  # fmt: skip
