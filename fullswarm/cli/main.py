@@ -33,6 +33,7 @@ from fullswarm.cli.keys import keys_app
 from fullswarm.cli.leases import leases_app
 from fullswarm.cli.mission import mission_app
 from fullswarm.cli.options import Json, shell_command
+from fullswarm.cli.panels import PlainGroup
 from fullswarm.cli.params import params_app
 from fullswarm.cli.record import record_app
 from fullswarm.cli.rehearse import rehearse
@@ -52,6 +53,8 @@ if TYPE_CHECKING:
     from fullswarm.config import SwarmConfig
 
 app = typer.Typer(
+    cls=PlainGroup,
+    rich_markup_mode=None,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -211,6 +214,9 @@ def up(
     overrides: Overrides = None,
     network: Network = None,
     console: Annotated[bool, typer.Option("--console", help="Serve the web console too; print its address.")] = False,
+    api: Annotated[
+        bool, typer.Option("--api", help="With --console: also serve programs, as `console --api` does.")
+    ] = False,
     record: Record = None,
     insecure_network: Insecure = False,
     reload: Reload = False,
@@ -218,10 +224,12 @@ def up(
     """Start all processes of a fleet file on this machine: hub, core, world, one agent per robot."""
     from fullswarm.drivers.fleet_file import load_fleet
     from fullswarm.launch.up import run
-    from fullswarm.simulation.starts import start_problems
 
-    config = load_fleet(fleet, tuple(overrides or ()), here=True, check=start_problems)
-    return run(config, insecure_network, network, console=console, develop=_developed(reload, fleet), record=record)
+    config = load_fleet(fleet, tuple(overrides or ()), here=True)
+    return run(
+        config, insecure_network, network,
+        console=console, api=api, develop=_developed(reload, fleet), record=record,
+    )  # fmt: skip
 
 
 @app.command(rich_help_panel=START)
