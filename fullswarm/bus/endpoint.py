@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+import socket
 
 from fullswarm.errors import ConfigError
 from fullswarm.identity import Credentials, Role
@@ -32,6 +33,18 @@ def host_of(endpoint: str) -> str:
             hint=f"write tcp/<host>:<port>, like {DEFAULT_HUB}, or tls/<host>:<port> if it is secured",
         )
     return str(match["six"] or match["name"])
+
+
+def nothing_listens(endpoint: str, within_s: float) -> bool:
+    """Tell whether the host of an endpoint answers that nothing listens there; False also when it does not answer."""
+    host = host_of(endpoint)
+    try:
+        socket.create_connection((host, int(endpoint.rpartition(":")[2])), within_s).close()
+    except ConnectionRefusedError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def is_loopback(host: str) -> bool:

@@ -94,6 +94,15 @@ def reason_of(error: zenoh.ZError) -> str:
     return str(error).split(" at /")[0]
 
 
+def no_hub(hub: str) -> Unreachable:
+    """Return the error for a hub that does not answer."""
+    return Unreachable(
+        "no hub answers",
+        where=hub,
+        hint="start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub",
+    )
+
+
 def wire_key(key: str, sender: str) -> str:
     """Return a node's key, or key expression, as it is on the wire: with the chunk of the sender after the swarm's."""
     swarm, slash, rest = key.partition("/")
@@ -290,11 +299,7 @@ class HubLink:
             cause = self._cause()
             if cause is not None:
                 raise cause
-            raise Unreachable(
-                "no hub answers",
-                where=self.hub,
-                hint="start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub",
-            )
+            raise no_hub(self.hub)
 
     def close(self) -> None:
         """End the session; return within `CLOSE_S` even when the hub is frozen. Closing twice is fine."""

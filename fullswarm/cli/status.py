@@ -25,6 +25,8 @@ COLLECT_S = 1.0
 USUAL = ("bodies", "bumps", "obstacles", "pose", "reverse")
 """Capabilities that the list of robots leaves out; `--json` has them."""
 REFRESH_S = 0.25
+FIRST_LINES_S = 0.6
+"""By then each robot has reported once."""
 GROUPS_TIMEOUT_S = 3.0
 
 
@@ -62,12 +64,16 @@ def watch(
         bool, typer.Option("--json", help="Print a line of JSON at each refresh, four a second.")
     ] = False,
 ) -> int:
-    """Show the swarm, or some robots of it, live until Ctrl-C; those that need attention come first."""
+    """Show the swarm, or some robots of it, live until Ctrl-C; those that need attention come first.
+
+    In a pipe: a line for each robot and process when its state changes, with the time of day.
+    """
     from rich.console import Console
     from rich.live import Live
 
     from fullswarm.operator import session
     from fullswarm.operator.render import fleet_table
+    from fullswarm.operator.state_lines import StateLines
     from fullswarm.operator.view import FleetView
 
     ids = members(target, robots)
@@ -79,8 +85,13 @@ def watch(
             connection.run()
             return 0
         console = Console(highlight=False)
+        if not console.is_terminal:
+            changes = StateLines(output.data)
+            connection.runtime.every(REFRESH_S, lambda: changes.look(_only(view, ids)), first_s=FIRST_LINES_S)
+            connection.run()
+            return 0
         # rich's own refreshing would need a thread; the runtime's timer does.
-        with Live(console=console, auto_refresh=False, screen=console.is_terminal, transient=True) as live:
+        with Live(console=console, auto_refresh=False, screen=True, transient=True) as live:
 
             def refresh() -> None:
                 # Of the screen's height the title and the header take two lines, what stands below a third.
@@ -183,7 +194,7 @@ def _collect(target: Target, ids: tuple[str, ...] = ()) -> Snapshot:
     from fullswarm.operator import session
     from fullswarm.operator.view import FleetView
 
-    with session.connect(target) as connection:
+    with session.connect(target, started=True) as connection:
         view = FleetView(connection.bus, connection.keys, connection.runtime, ids)
         connection.run(COLLECT_S)
         return _only(view, ids)

@@ -16,6 +16,7 @@ so that ``fullswarm --help`` appears at once.
 ``view.py``         collects what a swarm publishes: the newest of everything, with its age
 ``robot_state.py``  describes in a few words what a robot does, and the remedy
 ``render.py``       draws the swarm as a table for a terminal
+``state_lines.py``  tells changes of the swarm's state as lines, for a pipe
 ``console/``        the web console (extra ``[console]``)
 ``joystick/``       driving with a gamepad (extra ``[joystick]``)
 """

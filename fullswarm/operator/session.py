@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import FrameType
 
 from fullswarm.bus.base import Bus
-from fullswarm.bus.endpoint import credentials_at
+from fullswarm.bus.endpoint import credentials_at, nothing_listens
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, Unreachable
@@ -25,6 +25,8 @@ from fullswarm.output import log_to_stderr
 from fullswarm.runtime import Runtime
 
 CONNECT_S = 3.0
+REFUSAL_S = 0.3
+"""A refused connection is known within the way to the hub and back; a firewall that answers nothing costs this."""
 OPERATOR = "FULLSWARM_OPERATOR"
 _NAME = re.compile(r"[^\s,;()]{1,64}\Z")
 
@@ -132,8 +134,14 @@ def own_credentials(hub: str, swarm: str, operator: str = "") -> Credentials | N
 
 
 @contextmanager
-def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
+def connect(target: Target, within_s: float | None = None, *, started: bool = False) -> Iterator[Session]:
     """Open the bus for one command; the hub has `within_s` to answer, 3 s by default.
+
+    Parameters
+    ----------
+    started
+        The hub must have started: where its computer refuses the connection it is not waited for. For commands that
+        only look; an order may be given while the swarm still starts.
 
     Raises
     ------
@@ -144,13 +152,15 @@ def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
     """
     from fullswarm.bus.base import OPERATOR, NamedBus
     from fullswarm.bus.renewal import renew_later
-    from fullswarm.bus.zenoh_bus import ZenohBus
+    from fullswarm.bus.zenoh_bus import ZenohBus, no_hub
 
     log_to_stderr()
     keys = Keys(target.swarm)
     runtime = Runtime(MonotonicClock())
     hub = target.hub or DEFAULT_HUB
     credentials = own_credentials(hub, target.swarm, target.operator)
+    if started and nothing_listens(hub, REFUSAL_S):
+        raise no_hub(hub)
     bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
     try:
         bus.wait_connected(CONNECT_S if within_s is None else within_s)

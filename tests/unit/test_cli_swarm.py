@@ -55,7 +55,7 @@ class FakeSwarm:
         self.interrupt_after_s: float | None = None
 
     @contextmanager
-    def connect(self, target: Target, within_s: float | None = None) -> Iterator[Session]:
+    def connect(self, target: Target, within_s: float | None = None, *, started: bool = False) -> Iterator[Session]:
         del within_s
         self.targets.append(target)
         self.runtime = Runtime(SimClock())  # a runtime runs once
