@@ -6,7 +6,7 @@ import ipaddress
 import re
 import socket
 
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.identity import Credentials, Role
 
 DEFAULT_HUB = "tcp/127.0.0.1:7447"
@@ -33,6 +33,15 @@ def host_of(endpoint: str) -> str:
             hint=f"write tcp/<host>:<port>, like {DEFAULT_HUB}, or tls/<host>:<port> if it is secured",
         )
     return str(match["six"] or match["name"])
+
+
+def no_hub(hub: str) -> Unreachable:
+    """Return the error for a hub that does not answer."""
+    return Unreachable(
+        "no hub answers",
+        where=hub,
+        hint="start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub",
+    )
 
 
 def nothing_listens(endpoint: str, within_s: float) -> bool:

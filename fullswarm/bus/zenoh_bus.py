@@ -22,7 +22,7 @@ import zenoh
 
 from fullswarm.bus.base import Carried, Delivery, Subscription, matches
 from fullswarm.bus.codec import LARGEST_BYTES, decode, encode
-from fullswarm.bus.endpoint import DEFAULT_HUB, host_of, is_secured
+from fullswarm.bus.endpoint import DEFAULT_HUB, host_of, is_secured, no_hub
 from fullswarm.bus.lanes import Bucket, service_of
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError, FullswarmError, MessageError, Unreachable
@@ -92,15 +92,6 @@ def untyped(method: Callable[[], object]) -> None:
 def reason_of(error: zenoh.ZError) -> str:
     """Return zenoh's error text, without the place in its sources."""
     return str(error).split(" at /")[0]
-
-
-def no_hub(hub: str) -> Unreachable:
-    """Return the error for a hub that does not answer."""
-    return Unreachable(
-        "no hub answers",
-        where=hub,
-        hint="start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub",
-    )
 
 
 def wire_key(key: str, sender: str) -> str:

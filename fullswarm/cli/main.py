@@ -71,7 +71,7 @@ for group, name in (
     (audit_app, "audit"), (console_app, "console"), (record_app, "record"),
     (viewer_app, "viewer"), (ros_app, "ros"),
 ):  # fmt: skip
-    app.add_typer(group, name=name)
+    app.add_typer(group, name=name, cls=PlainGroup)
 app.command()(mcp.mcp)
 for group, name, text in (
     (experiment_app, "experiment", "Measure behaviours over many seeded trials."),
@@ -79,7 +79,7 @@ for group, name, text in (
     (scenario_app, "scenario", "List, show, import and export worlds."),
     (study_app, "study", "Run human-swarm studies: balanced orders, blinded conditions, probes, NASA-TLX."),
 ):
-    app.add_typer(group, name=name, rich_help_panel=EVALUATE, help=text)
+    app.add_typer(group, name=name, cls=PlainGroup, rich_help_panel=EVALUATE, help=text)
 app.command(rich_help_panel=EVALUATE)(rehearse)
 app.command(rich_help_panel=EVALUATE)(replay)
 for command in (
@@ -87,10 +87,10 @@ for command in (
     deploy.reboot, deploy.fleet, flash.flash,
 ):  # fmt: skip
     app.command(rich_help_panel=DEPLOY)(command)
-app.add_typer(keys_app, name="keys", rich_help_panel=DEPLOY)
-app.add_typer(signing_app, name="signing", rich_help_panel=DEPLOY)
-app.add_typer(robots.robots_app, name="robots", rich_help_panel=HARDWARE)
-app.add_typer(track_app, name="track", rich_help_panel=HARDWARE)
+app.add_typer(keys_app, name="keys", cls=PlainGroup, rich_help_panel=DEPLOY)
+app.add_typer(signing_app, name="signing", cls=PlainGroup, rich_help_panel=DEPLOY)
+app.add_typer(robots.robots_app, name="robots", cls=PlainGroup, rich_help_panel=HARDWARE)
+app.add_typer(track_app, name="track", cls=PlainGroup, rich_help_panel=HARDWARE)
 for command in (robots.doctor, robots.emulate):
     app.command(rich_help_panel=HARDWARE)(command)
 
@@ -332,7 +332,7 @@ def sim(
     return processes.world(_load(fleet, overrides), insecure_network, with_parent)
 
 
-app.add_typer(fixes_app, name="fixes", rich_help_panel=RUN)
+app.add_typer(fixes_app, name="fixes", cls=PlainGroup, rich_help_panel=RUN)
 
 
 def main() -> None:

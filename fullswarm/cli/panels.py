@@ -17,6 +17,17 @@ COMMANDS = "Commands"
 class PlainGroup(TyperGroup):
     """A group of commands whose help is plain text."""
 
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the options in front of the command.
+
+        Typer's own switches (help, completion) are None by default, for which it loads pydantic. False is taken as is.
+        """
+        found: list[Any] = super().get_params(ctx)
+        for each in found:
+            if getattr(each, "is_flag", False) and each.default is None:
+                each.default = False
+        return found
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands with the first line of their help, by heading."""
         panels: dict[str, list[tuple[str, str]]] = {}

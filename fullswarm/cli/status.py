@@ -33,6 +33,7 @@ GROUPS_TIMEOUT_S = 3.0
 @shell_command()
 def status(target: Target, robots: Robots = None, as_json: Json = False) -> int:
     """Show the swarm, or some robots of it, once; those that need attention come first."""
+    _need_hub(target)
     from fullswarm.operator.render import fleet_table
 
     seen = _collect(target, members(target, robots))
@@ -42,6 +43,13 @@ def status(target: Target, robots: Robots = None, as_json: Json = False) -> int:
         output.data_table(fleet_table(seen))
     _warn_of_certificates(target)
     return 0
+
+
+def _need_hub(target: Target) -> None:
+    """Refuse a hub that has not been started, before what talks to one is loaded."""
+    from fullswarm.operator.target import need_hub
+
+    need_hub(target)
 
 
 def _warn_of_certificates(target: Target) -> None:
@@ -107,6 +115,7 @@ def watch(
 
 def list_robots(target: Target, *, as_json: bool) -> int:
     """Print the robots of a swarm: make, model, driver, firmware, battery."""
+    _need_hub(target)
     from rich.markup import escape
 
     seen = _collect(target)
@@ -123,6 +132,7 @@ def list_robots(target: Target, *, as_json: bool) -> int:
 @shell_command()
 def docks(target: Target, as_json: Json = False) -> int:
     """Show the docks of a swarm, who charges there, and which robots wait for one."""
+    _need_hub(target)
     from rich.markup import escape
 
     seen = _collect(target)
@@ -194,7 +204,7 @@ def _collect(target: Target, ids: tuple[str, ...] = ()) -> Snapshot:
     from fullswarm.operator import session
     from fullswarm.operator.view import FleetView
 
-    with session.connect(target, started=True) as connection:
+    with session.connect(target) as connection:
         view = FleetView(connection.bus, connection.keys, connection.runtime, ids)
         connection.run(COLLECT_S)
         return _only(view, ids)

@@ -6,6 +6,7 @@ so that ``fullswarm --help`` appears at once.
 
 ``swarm.py``        a live swarm in a Python program: ``from fullswarm import Swarm``
 ``outcome.py``      reads what the core says of a request: whether it has ended, and which error a refusal is
+``target.py``       the swarm and the operator of a command; says at once when there is no hub
 ``session.py``      connects one command to a swarm: bus, keys and runtime, with an orderly Ctrl-C
 ``client.py``       sends requests, stops and e-stops; the paper's mock publisher; read this first
 ``estop.py``        repeats one e-stop until the robots have confirmed it

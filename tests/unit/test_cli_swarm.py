@@ -55,7 +55,7 @@ class FakeSwarm:
         self.interrupt_after_s: float | None = None
 
     @contextmanager
-    def connect(self, target: Target, within_s: float | None = None, *, started: bool = False) -> Iterator[Session]:
+    def connect(self, target: Target, within_s: float | None = None) -> Iterator[Session]:
         del within_s
         self.targets.append(target)
         self.runtime = Runtime(SimClock())  # a runtime runs once
@@ -154,6 +154,7 @@ class FakeSwarm:
 def swarm(monkeypatch: pytest.MonkeyPatch) -> FakeSwarm:
     fake = FakeSwarm()
     monkeypatch.setattr(session, "connect", fake.connect)
+    monkeypatch.setattr("fullswarm.operator.target.nothing_listens", lambda _hub, _within_s: False)
     return fake
 
 
