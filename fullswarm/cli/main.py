@@ -223,9 +223,10 @@ def up(
 ) -> int:
     """Start all processes of a fleet file on this machine: hub, core, world, one agent per robot."""
     from fullswarm.drivers.fleet_file import load_fleet
-    from fullswarm.launch.up import run
 
     config = load_fleet(fleet, tuple(overrides or ()), here=True)
+    from fullswarm.launch.up import run  # after the file: who has mistyped a key need not wait for it
+
     return run(
         config, insecure_network, network,
         console=console, api=api, develop=_developed(reload, fleet), record=record,

@@ -116,7 +116,8 @@ def clip(
         frames = film(file, out, range_of(file, from_, to), speed, width)
         output.data_json({"file": str(out), "frames": frames}) if as_json else output.data(str(out))
         return 0
-    found = run(file, out, range_of(file, from_, to))
+    with output.Progress("messages read") as progress:
+        found = run(file, out, range_of(file, from_, to), progress.at)
     if as_json:
         output.data_json(_as_json(found))
     else:
