@@ -23,6 +23,7 @@ ALL = (
     ("benchmarks.can_bus",),
     ("benchmarks.agent_start",),
     ("benchmarks.release",),
+    ("benchmarks.shell_start",),
     ("benchmarks.fault_matrix", "--check"),
     ("benchmarks.fleet",),
     ("benchmarks.hostile_mcp", "--minutes", "1"),

@@ -107,17 +107,23 @@ class SafetyStop(FullswarmError):
     exit_code = 4
 
 
+MOST_LISTED = 16
+"""Names that a message lists in full."""
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """Return which of `known` may be meant; empty when nothing is near."""
     return next(iter(difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.6)), "")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """``did you mean 'x'?`` for the nearest of `known`, or the whole choice when nothing is near."""
+    """``did you mean 'x'?`` for the nearest of `known`; when nothing is near the whole choice, of many the nearest."""
     choices = sorted(known)
     near = nearest(word, choices)
     if near:
         return f"did you mean '{near}'?"
+    if len(choices) > MOST_LISTED:
+        return f"the nearest of {len(choices)}: {', '.join(difflib.get_close_matches(word, choices, n=5, cutoff=0.0))}"
     return f"known: {', '.join(choices)}" if choices else "none is known yet"
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
+import shutil
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import typer
 
+from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.errors import FullswarmError
 
 if TYPE_CHECKING:  # imported in the functions that draw: a shell completion draws nothing
@@ -60,6 +63,109 @@ def plain_table(*columns: str, numbers: Sequence[str] = ()) -> Table:
 def progress(text: str) -> None:
     """Print what is going on."""
     typer.echo(text, err=True)
+
+
+class Progress:
+    """Shows on stderr how far a long piece of work is: one line that is written over on a terminal, lines in a pipe.
+
+    In a pipe the first line comes within two seconds and then one each five at most, as often as :meth:`at` or
+    :meth:`tick` is called; work that is over before prints none.
+
+    Parameters
+    ----------
+    what : the parts, in the plural: "trials"
+    of : how many there are; None: unknown
+    at_once : print the first line now: nothing is known to call before the first part is done
+    """
+
+    FIRST_S, NEXT_S, REDRAW_S = 1.5, 5.0, 0.1
+    BAR = 24
+
+    def __init__(
+        self, what: str, of: int | None = None, *, clock: Clock | None = None, stream: TextIO | None = None,
+        at_once: bool = False,
+    ) -> None:  # fmt: skip
+        self._what, self._of = what, of
+        self._clock = clock or MonotonicClock()
+        self._stream = stream or sys.stderr
+        self._live = self._stream.isatty() and os.environ.get("TERM") != "dumb"
+        self._began_s = self._clock.now_s()
+        self._due_s = self._began_s + (0.0 if at_once or self._live else self.FIRST_S)
+        self._done, self._note, self._shown, self._drawn = 0, "", "", False
+        if at_once:
+            self.tick()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def at(self, done: int, note: str = "") -> None:
+        """Take that `done` parts are done; `note` follows the count."""
+        self._done, self._note = done, note
+        self.tick(force=done == self._of and bool(self._shown))
+
+    def parts(self, done: int, of: int, note: str = "") -> None:
+        """Take that `done` of `of` parts are done."""
+        self._of = of
+        self.at(done, note)
+
+    def tick(self, *, force: bool = False) -> None:
+        """Show the state if it is time to, also when nothing has changed."""
+        now_s = self._clock.now_s()
+        if now_s < self._due_s and not force:
+            return
+        self._due_s = now_s + (self.REDRAW_S if self._live else self.NEXT_S)
+        text = self._text(now_s - self._began_s)
+        if self._live:
+            self._draw(text, now_s)
+        elif text != self._shown or not force:
+            self._write(f"{text}\n")
+        self._shown = text
+
+    def say(self, text: str) -> None:
+        """Print a line of its own between."""
+        self._write("\r\x1b[K" * self._drawn + f"{text}\n")
+        self._drawn = False
+
+    def close(self) -> None:
+        """End the live line; what is printed next begins a line of its own."""
+        if self._drawn:
+            self._write("\n")
+            self._drawn = False
+
+    def _text(self, took_s: float) -> str:
+        count = f"{self._done} of {self._of} {self._what}" if self._of is not None else f"{self._done} {self._what}"
+        note = f", {self._note}" if self._note else ""
+        if not self._of or not self._done:
+            return f"{count}{note}, {duration(took_s)}"
+        return f"{count}{note}, about {duration(took_s / self._done * (self._of - self._done))} left"
+
+    def _draw(self, text: str, now_s: float) -> None:
+        columns = shutil.get_terminal_size().columns
+        full = self.BAR * self._done // self._of if self._of else int(now_s * 4) % self.BAR
+        bar = "#" * full + "." * (self.BAR - full) if self._of else "." * full + "#" + "." * (self.BAR - full - 1)
+        self._write("\r\x1b[K" + f"[{bar}] {text}"[: columns - 1])
+        self._drawn = True
+
+    def _write(self, text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):  # who reads it has gone: the work goes on
+            self._stream.write(text)
+            self._stream.flush()
+
+
+def duration(seconds: float) -> str:
+    """Return a time in its two largest units: ``40 s``, ``12 min``, ``3 h 20 min``."""
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def warning(text: str) -> None:
+    """Print one line about what is odd, but not wrong."""
+    typer.echo(f"warning: {text}", err=True)
 
 
 def log_to_stderr(*, warnings_only: bool = False) -> None:

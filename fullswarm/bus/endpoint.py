@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ipaddress
 import re
+import socket
 
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.identity import Credentials, Role
 
 DEFAULT_HUB = "tcp/127.0.0.1:7447"
@@ -32,6 +33,27 @@ def host_of(endpoint: str) -> str:
             hint=f"write tcp/<host>:<port>, like {DEFAULT_HUB}, or tls/<host>:<port> if it is secured",
         )
     return str(match["six"] or match["name"])
+
+
+def no_hub(hub: str) -> Unreachable:
+    """Return the error for a hub that does not answer."""
+    return Unreachable(
+        "no hub answers",
+        where=hub,
+        hint="start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub",
+    )
+
+
+def nothing_listens(endpoint: str, within_s: float) -> bool:
+    """Tell whether the host of an endpoint answers that nothing listens there; False also when it does not answer."""
+    host = host_of(endpoint)
+    try:
+        socket.create_connection((host, int(endpoint.rpartition(":")[2])), within_s).close()
+    except ConnectionRefusedError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def is_loopback(host: str) -> bool:

@@ -22,7 +22,7 @@ import zenoh
 
 from fullswarm.bus.base import Carried, Delivery, Subscription, matches
 from fullswarm.bus.codec import LARGEST_BYTES, decode, encode
-from fullswarm.bus.endpoint import DEFAULT_HUB, host_of, is_secured
+from fullswarm.bus.endpoint import DEFAULT_HUB, host_of, is_secured, no_hub
 from fullswarm.bus.lanes import Bucket, service_of
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError, FullswarmError, MessageError, Unreachable
@@ -290,11 +290,7 @@ class HubLink:
             cause = self._cause()
             if cause is not None:
                 raise cause
-            raise Unreachable(
-                "no hub answers",
-                where=self.hub,
-                hint="start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub",
-            )
+            raise no_hub(self.hub)
 
     def close(self) -> None:
         """End the session; return within `CLOSE_S` even when the hub is frozen. Closing twice is fine."""

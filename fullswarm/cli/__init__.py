@@ -36,6 +36,7 @@ file               commands
 ``deploy.py``      `deploy`, `update`, `rollback`, `fleet`, `logs`, `shell`, `reboot`
 ``flash.py``       `flash`
 ``options.py``     the decorator of all commands; options that several commands have
+``panels.py``      formats help as plain text
 ``values.py``      parses `KEY=VALUE` and values
 ``completion.py``  shell completion
 ================== ==================================================================================

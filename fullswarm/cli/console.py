@@ -234,7 +234,7 @@ def revoke(
 
 def _recording_of(target: Target, given: Path | None) -> Callable[[], Path | None]:
     """Return what finds the recording that is made of a swarm on this machine; `given`: that of `up --record`."""
-    from fullswarm.launch.up import can_record
+    from fullswarm.launch.recorder import can_record
 
     if not can_record():
         return lambda: None
@@ -245,9 +245,9 @@ def _recording_of(target: Target, given: Path | None) -> Callable[[], Path | Non
 
 def _recorded(file: Path) -> Callable[..., PageSource[Any]]:
     """Return what shows a recording; `ConfigError` if it is none."""
-    from fullswarm.cli.record import check_extra
+    from fullswarm.launch.recorder import need_recordings
 
-    check_extra()
+    need_recordings()
     from fullswarm.record.playback import Playback, RecordedSwarm
 
     return partial(Playback, file, recorded=RecordedSwarm(file))

@@ -33,6 +33,7 @@ from fullswarm.cli.keys import keys_app
 from fullswarm.cli.leases import leases_app
 from fullswarm.cli.mission import mission_app
 from fullswarm.cli.options import Json, shell_command
+from fullswarm.cli.panels import PlainGroup
 from fullswarm.cli.params import params_app
 from fullswarm.cli.record import record_app
 from fullswarm.cli.rehearse import rehearse
@@ -52,6 +53,8 @@ if TYPE_CHECKING:
     from fullswarm.config import SwarmConfig
 
 app = typer.Typer(
+    cls=PlainGroup,
+    rich_markup_mode=None,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -68,7 +71,7 @@ for group, name in (
     (audit_app, "audit"), (console_app, "console"), (record_app, "record"),
     (viewer_app, "viewer"), (ros_app, "ros"),
 ):  # fmt: skip
-    app.add_typer(group, name=name)
+    app.add_typer(group, name=name, cls=PlainGroup)
 app.command()(mcp.mcp)
 for group, name, text in (
     (experiment_app, "experiment", "Measure behaviours over many seeded trials."),
@@ -76,7 +79,7 @@ for group, name, text in (
     (scenario_app, "scenario", "List, show, import and export worlds."),
     (study_app, "study", "Run human-swarm studies: balanced orders, blinded conditions, probes, NASA-TLX."),
 ):
-    app.add_typer(group, name=name, rich_help_panel=EVALUATE, help=text)
+    app.add_typer(group, name=name, cls=PlainGroup, rich_help_panel=EVALUATE, help=text)
 app.command(rich_help_panel=EVALUATE)(rehearse)
 app.command(rich_help_panel=EVALUATE)(replay)
 for command in (
@@ -84,10 +87,10 @@ for command in (
     deploy.reboot, deploy.fleet, flash.flash,
 ):  # fmt: skip
     app.command(rich_help_panel=DEPLOY)(command)
-app.add_typer(keys_app, name="keys", rich_help_panel=DEPLOY)
-app.add_typer(signing_app, name="signing", rich_help_panel=DEPLOY)
-app.add_typer(robots.robots_app, name="robots", rich_help_panel=HARDWARE)
-app.add_typer(track_app, name="track", rich_help_panel=HARDWARE)
+app.add_typer(keys_app, name="keys", cls=PlainGroup, rich_help_panel=DEPLOY)
+app.add_typer(signing_app, name="signing", cls=PlainGroup, rich_help_panel=DEPLOY)
+app.add_typer(robots.robots_app, name="robots", cls=PlainGroup, rich_help_panel=HARDWARE)
+app.add_typer(track_app, name="track", cls=PlainGroup, rich_help_panel=HARDWARE)
 for command in (robots.doctor, robots.emulate):
     app.command(rich_help_panel=HARDWARE)(command)
 
@@ -211,17 +214,23 @@ def up(
     overrides: Overrides = None,
     network: Network = None,
     console: Annotated[bool, typer.Option("--console", help="Serve the web console too; print its address.")] = False,
+    api: Annotated[
+        bool, typer.Option("--api", help="With --console: also serve programs, as `console --api` does.")
+    ] = False,
     record: Record = None,
     insecure_network: Insecure = False,
     reload: Reload = False,
 ) -> int:
     """Start all processes of a fleet file on this machine: hub, core, world, one agent per robot."""
     from fullswarm.drivers.fleet_file import load_fleet
-    from fullswarm.launch.up import run
-    from fullswarm.simulation.starts import start_problems
 
-    config = load_fleet(fleet, tuple(overrides or ()), here=True, check=start_problems)
-    return run(config, insecure_network, network, console=console, develop=_developed(reload, fleet), record=record)
+    config = load_fleet(fleet, tuple(overrides or ()), here=True)
+    from fullswarm.launch.up import run  # after the file: who has mistyped a key need not wait for it
+
+    return run(
+        config, insecure_network, network,
+        console=console, api=api, develop=_developed(reload, fleet), record=record,
+    )  # fmt: skip
 
 
 @app.command(rich_help_panel=START)
@@ -324,7 +333,7 @@ def sim(
     return processes.world(_load(fleet, overrides), insecure_network, with_parent)
 
 
-app.add_typer(fixes_app, name="fixes", rich_help_panel=RUN)
+app.add_typer(fixes_app, name="fixes", cls=PlainGroup, rich_help_panel=RUN)
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ from fullswarm.keys import ROBOT_ID
 from fullswarm.output import run_guarded
 
 if TYPE_CHECKING:
-    from fullswarm.operator.session import Target as Target
+    from fullswarm.operator.target import Target as Target
 
     NamedTarget = Target
 
@@ -132,7 +132,7 @@ def _option(name: str, kind: object, default: object) -> inspect.Parameter:
 
 def _target(hub: str | None, swarm: str, operator: str) -> Target:
     """Return the swarm that a command line names, and its operator; a malformed name raises `ConfigError`."""
-    from fullswarm.operator.session import Target, operator_name
+    from fullswarm.operator.target import Target, operator_name
 
     return Target(hub, swarm, operator_name(operator) if operator else "")
 

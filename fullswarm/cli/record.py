@@ -10,7 +10,7 @@ import typer
 
 from fullswarm import output
 from fullswarm.cli.options import Json, Swarm, shell_command
-from fullswarm.errors import MissingExtra
+from fullswarm.launch.recorder import need_recordings
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
@@ -41,7 +41,7 @@ def start(
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> int:
     """Record every message of a live swarm until Ctrl-C."""
-    check_extra()
+    need_recordings()
     from fullswarm.record.session import start as run
 
     return run(target, out, fleet, limit_mb, keep, with_parent)
@@ -51,7 +51,7 @@ def start(
 @shell_command(needs="posix")
 def stop(swarm: Swarm = "swarm") -> int:
     """End the recordings of a swarm that run on this computer."""
-    check_extra()
+    need_recordings()
     from fullswarm.record.session import stop as run
 
     return run(swarm)
@@ -61,7 +61,7 @@ def stop(swarm: Swarm = "swarm") -> int:
 @shell_command()
 def info(file: File, as_json: Json = False) -> int:
     """Say what a recording holds; exit code 1: it was cut off, see `repair`."""
-    check_extra()
+    need_recordings()
     from fullswarm.record.reading import contents
 
     found = contents(file)
@@ -81,7 +81,7 @@ def repair(
     ] = None,
 ) -> int:
     """Write what can be read of a recording that was cut off into a new file, with its index."""
-    check_extra()
+    need_recordings()
     from fullswarm.record.reading import repair as run
 
     target = out or file.with_name(f"{file.stem}.repaired{file.suffix}")
@@ -106,7 +106,7 @@ def clip(
     as_json: Json = False,
 ) -> int:
     """Write a part of a recording: as a recording of its own, or as a film from above."""
-    check_extra()
+    need_recordings()
     from fullswarm.record.clip import clip as run
     from fullswarm.record.clip import range_of
 
@@ -116,21 +116,14 @@ def clip(
         frames = film(file, out, range_of(file, from_, to), speed, width)
         output.data_json({"file": str(out), "frames": frames}) if as_json else output.data(str(out))
         return 0
-    found = run(file, out, range_of(file, from_, to))
+    with output.Progress("messages read") as progress:
+        found = run(file, out, range_of(file, from_, to), progress.at)
     if as_json:
         output.data_json(_as_json(found))
     else:
         output.data(str(out))
         output.progress(f"{found.messages} messages of {found.seconds:.1f} s, {found.bytes / 1e6:.1f} MB")
     return 0
-
-
-def check_extra() -> None:
-    """Raise `MissingExtra` where recordings can neither be written nor read."""
-    import importlib.util
-
-    if importlib.util.find_spec("mcap") is None or importlib.util.find_spec("foxglove") is None:
-        raise MissingExtra("recordings are not installed", hint="pip install 'fullswarm[record]'")
 
 
 def _as_json(found: Contents) -> dict[str, object]:

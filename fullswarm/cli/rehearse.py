@@ -45,7 +45,7 @@ def rehearse(
     """
     if live:
         return _live(robots, minutes, every, seed, as_json=as_json)
-    from fullswarm.output import data, data_json, progress, quiet
+    from fullswarm.output import Progress, data, data_json, quiet
     from fullswarm.rehearse.faults import check_kinds
     from fullswarm.rehearse.rehearsal import Options, text_of
     from fullswarm.rehearse.rehearsal import rehearse as run
@@ -54,7 +54,8 @@ def rehearse(
     kinds = tuple(each.strip() for each in only.split(",") if each.strip())
     check_kinds(kinds)
     keep = None if faults is None else _indices(faults)
-    report = run(Options(seed, hours, robots, kinds, episode, keep, jobs=jobs, wall_s=seconds), progress)
+    with Progress("episodes", at_once=True) as progress:
+        report = run(Options(seed, hours, robots, kinds, episode, keep, jobs=jobs, wall_s=seconds), progress)
     if as_json:
         data_json(report.as_dict())
     else:

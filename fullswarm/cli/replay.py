@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
 
 from fullswarm import output
 from fullswarm.cli.options import Json, shell_command
@@ -36,9 +35,9 @@ def replay(
     as_json: Json = False,
 ) -> int:
     """Run all nodes of a recording again on what they received; exit code 1: they do something else than then."""
-    from fullswarm.cli.record import check_extra
+    from fullswarm.launch.recorder import need_recordings
 
-    check_extra()
+    need_recordings()
     from fullswarm.record.replay import Window, check_code, recorded_in
     from fullswarm.record.replay import replay as run
 
@@ -69,6 +68,8 @@ def _as_json(outcome: Outcome) -> dict[str, object]:
 
 
 def _print(outcomes: list[Outcome]) -> None:
+    from rich.markup import escape
+
     table = output.plain_table("process", "result", numbers=("seconds", "events", "outputs", "commands"))
     for each in outcomes:
         numbers = f"{each.seconds:.1f}", str(each.events), str(each.outputs), str(each.commands)

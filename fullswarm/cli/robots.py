@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fullswarm import registry
 from fullswarm.cli import completion
 from fullswarm.cli.options import Json, Yes, shell_command
 from fullswarm.cli.status import list_robots
@@ -56,6 +55,8 @@ def bring_up(
     as_json: Json = False,
 ) -> int:
     """Drive one robot a little and check signs, scale, stops and sensors. Exit code 0: passed; 1: failed."""
+    from fullswarm import registry
+
     registry.driver_target(url)  # before anything is imported
     from fullswarm.bringup.robot_test import run
 

@@ -25,12 +25,15 @@ COLLECT_S = 1.0
 USUAL = ("bodies", "bumps", "obstacles", "pose", "reverse")
 """Capabilities that the list of robots leaves out; `--json` has them."""
 REFRESH_S = 0.25
+FIRST_LINES_S = 0.6
+"""By then each robot has reported once."""
 GROUPS_TIMEOUT_S = 3.0
 
 
 @shell_command()
 def status(target: Target, robots: Robots = None, as_json: Json = False) -> int:
     """Show the swarm, or some robots of it, once; those that need attention come first."""
+    _need_hub(target)
     from fullswarm.operator.render import fleet_table
 
     seen = _collect(target, members(target, robots))
@@ -40,6 +43,13 @@ def status(target: Target, robots: Robots = None, as_json: Json = False) -> int:
         output.data_table(fleet_table(seen))
     _warn_of_certificates(target)
     return 0
+
+
+def _need_hub(target: Target) -> None:
+    """Refuse a hub that has not been started, before what talks to one is loaded."""
+    from fullswarm.operator.target import need_hub
+
+    need_hub(target)
 
 
 def _warn_of_certificates(target: Target) -> None:
@@ -62,12 +72,16 @@ def watch(
         bool, typer.Option("--json", help="Print a line of JSON at each refresh, four a second.")
     ] = False,
 ) -> int:
-    """Show the swarm, or some robots of it, live until Ctrl-C; those that need attention come first."""
+    """Show the swarm, or some robots of it, live until Ctrl-C; those that need attention come first.
+
+    In a pipe: a line for each robot and process when its state changes, with the time of day.
+    """
     from rich.console import Console
     from rich.live import Live
 
     from fullswarm.operator import session
     from fullswarm.operator.render import fleet_table
+    from fullswarm.operator.state_lines import StateLines
     from fullswarm.operator.view import FleetView
 
     ids = members(target, robots)
@@ -79,8 +93,13 @@ def watch(
             connection.run()
             return 0
         console = Console(highlight=False)
+        if not console.is_terminal:
+            changes = StateLines(output.data)
+            connection.runtime.every(REFRESH_S, lambda: changes.look(_only(view, ids)), first_s=FIRST_LINES_S)
+            connection.run()
+            return 0
         # rich's own refreshing would need a thread; the runtime's timer does.
-        with Live(console=console, auto_refresh=False, screen=console.is_terminal, transient=True) as live:
+        with Live(console=console, auto_refresh=False, screen=True, transient=True) as live:
 
             def refresh() -> None:
                 # Of the screen's height the title and the header take two lines, what stands below a third.
@@ -96,6 +115,7 @@ def watch(
 
 def list_robots(target: Target, *, as_json: bool) -> int:
     """Print the robots of a swarm: make, model, driver, firmware, battery."""
+    _need_hub(target)
     from rich.markup import escape
 
     seen = _collect(target)
@@ -112,6 +132,7 @@ def list_robots(target: Target, *, as_json: bool) -> int:
 @shell_command()
 def docks(target: Target, as_json: Json = False) -> int:
     """Show the docks of a swarm, who charges there, and which robots wait for one."""
+    _need_hub(target)
     from rich.markup import escape
 
     seen = _collect(target)

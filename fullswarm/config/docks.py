@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from fullswarm.config.arena import gap_m
 from fullswarm.errors import did_you_mean
 
 if TYPE_CHECKING:
@@ -116,21 +117,13 @@ def _misplaced(config: SwarmConfig, slot: Slot) -> str:
     need_m = _radius_m(config) + config.agent.safety_margin_m + FREE_M
     for what, (x_m, y_m) in (("", (slot.x_m, slot.y_m)), ("the approach to ", slot.approach)):
         walls = [x_m - x_low, y_m - y_low, x_high - x_m, y_high - y_m] if config.world.walls else []
-        free_m = min([*walls, *(_gap_m(box, x_m, y_m) for box in config.world.boxes)], default=math.inf)
+        free_m = min([*walls, *(gap_m(box, x_m, y_m) for box in config.world.boxes)], default=math.inf)
         if free_m < need_m:
             return (
                 f"{what}{slot.name} is {free_m:.2f} m from a wall or a box, and the safety filter lets a robot's "
                 f"centre no nearer than {need_m:.3f} m"
             )
     return ""
-
-
-def _gap_m(box: tuple[float, float, float, float, float], x_m: float, y_m: float) -> float:
-    """Return the distance from a point to a box; 0 inside."""
-    centre_x, centre_y, size_x, size_y, yaw = box
-    dx, dy, c, s = x_m - centre_x, y_m - centre_y, math.cos(yaw), math.sin(yaw)
-    along, across = abs(dx * c + dy * s) - size_x / 2.0, abs(dy * c - dx * s) - size_y / 2.0
-    return math.hypot(max(along, 0.0), max(across, 0.0))
 
 
 @dataclass(frozen=True, slots=True)

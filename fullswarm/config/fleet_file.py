@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from collections.abc import Callable, Iterable
@@ -12,15 +11,24 @@ from typing import Any
 import tomlkit
 from pydantic import Field, ValidationError
 
+from fullswarm.config.arena import arena_problems, oddities
 from fullswarm.config.docks import dock_problems
 from fullswarm.config.models import RobotConfig, RobotId, Section, SwarmConfig
-from fullswarm.config.toml_errors import KeyPath, S, dotted, explain, line_numbers, parse_toml, validated
+from fullswarm.config.toml_errors import (
+    KeyPath,
+    S,
+    dotted,
+    explain,
+    line_numbers,
+    own_errors,
+    parse_toml,
+    read_toml,
+    validated,
+)
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 
 Table = dict[str, Any]
 _PLAIN_WORD = re.compile(r"[^\[\]{}\"'=,\n]+")
-
-HOW_A_BOX = "write centre x, y, size x, y in m, yaw in rad"
 
 
 class FleetShorthand(Section):
@@ -44,25 +52,37 @@ class FleetShorthand(Section):
 
 
 Check = Callable[[SwarmConfig], Iterable[tuple[str, str, str]]]
-"""What else is wrong with a fleet's robots: (id, key, what)."""
+"""What else is wrong with robots: (id, key, what). Without an id the key is one of the file: ``core.store``."""
 
 
-def load_swarm(path: Path | str, overrides: Iterable[str] = (), check: Check | None = None) -> SwarmConfig:
-    """Read and check a fleet file, then apply `overrides` (``a.b=1``, values as in TOML).
+def load_swarm(
+    path: Path | str,
+    overrides: Iterable[str] = (),
+    check: Check | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> SwarmConfig:
+    """Read a fleet file, apply `overrides` (``a.b=1``, values as in TOML), and check it.
 
-    `check` runs once all else is right; the check that needs the drivers is in :mod:`fullswarm.drivers.fleet_file`.
+    Parameters
+    ----------
+    check : more checks, once each value is valid by itself; those that need the drivers are in
+        :mod:`fullswarm.drivers.fleet_file`
+    warn : called with a line for each thing that is odd, but not wrong
 
     Raises
     ------
     ConfigError
         All that is wrong, one line each: ``file:line: key: what``; overrides as ``--set key: what``.
     """
-    text = _read(Path(path))
+    text = read_toml(Path(path), "fleet file")
     document = _Document(str(path), parse_toml(text, str(path)), line_numbers(text))
     for override in overrides:
         document.override(override)
     document.read_map(Path(path).parent)
-    return _with_calibrations(document.check(check), Path(path).parent)
+    config = document.check(check)
+    if warn is not None:
+        document.warn(config, warn)
+    return _with_calibrations(config, Path(path).parent)
 
 
 def _with_calibrations(config: SwarmConfig, folder: Path) -> SwarmConfig:
@@ -82,19 +102,6 @@ def write_swarm(config: SwarmConfig, path: Path) -> None:
     path.write_text(tomlkit.dumps(values), encoding="utf-8")
 
 
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        near = sorted(each.name for each in path.parent.glob("*.toml")) if path.parent.is_dir() else []
-        there = f"in that folder: {', '.join(near[:5])}" if near else "give the path of a fleet file (TOML)"
-        raise ConfigError("no such file", where=str(path), hint=there) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"is not UTF-8 text (byte {error.start})", where=str(path)) from None
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", where=str(path)) from None
-
-
 class _Document:
     """A parsed file with its lines, the overrides applied to it and the problems so far."""
 
@@ -102,6 +109,7 @@ class _Document:
         self._name, self._data, self._lines = name, data, lines
         self._overridden: dict[KeyPath, str] = {}
         self._problems: list[tuple[int, str]] = []  # line, text
+        self._shorthand = 0  # robots of [fleet], which come before the others
 
     def override(self, text: str) -> None:
         """Apply ``key=value``; a robot may be named by its id: ``robot.r1.driver=…``."""
@@ -179,41 +187,46 @@ class _Document:
         self._find_duplicates(data.get("robot"), {each.id: "[fleet]" for each in shorthand})
         if config is not None and (fleet is not None or fleet_table is None):
             self._find_unknown_members(config, [each.id for each in (*shorthand, *config.robot)])
-        if config is not None:
-            self._find_wrong_boxes(config)
-        if config is not None and not self._problems:
-            places: dict[str, KeyPath] = {each.id: ("robot", index) for index, each in enumerate(config.robot)}
-            config = config.model_copy(update={"robot": shorthand + config.robot}) if shorthand else config
-            for path, what in dock_problems(config):
-                self._report(_in_file(path, len(shorthand)), what)
-            for robot, key, what in () if more is None else more(config):
-                self._report((*places.get(robot, ("fleet",)), key), what)
+        if config is not None and (fleet is not None or fleet_table is None):
+            config = self._check_whole(config, shorthand, more)
         if self._problems or config is None:
             lines = dict.fromkeys(text for _, text in sorted(self._problems, key=lambda problem: problem[0]))
             raise ConfigError("\n".join(lines))
         return config
 
-    def _find_wrong_boxes(self, config: SwarmConfig) -> None:
-        """Report boxes without a size, or wholly outside the arena: a wrong unit or order."""
-        world = config.world_or_default
-        x_min, y_min, x_max, y_max = world.bounds_m
-        for index, (x, y, size_x, size_y, yaw) in enumerate(world.boxes):
-            if not (size_x > 0.0 and size_y > 0.0):
-                self._report(("world", "boxes", index), f"has no size ({size_x:g} by {size_y:g} m): {HOW_A_BOX}")
-            cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
-            reach_x, reach_y = (cos * size_x + sin * size_y) / 2.0, (sin * size_x + cos * size_y) / 2.0
-            if x + reach_x <= x_min or x - reach_x >= x_max or y + reach_y <= y_min or y - reach_y >= y_max:
-                arena = ", ".join(f"{each:g}" for each in world.bounds_m)
-                what = f"lies outside the arena, bounds_m = [{arena}]: {HOW_A_BOX}"
-                self._report(("world", "boxes", index), what)
+    def _check_whole(self, config: SwarmConfig, shorthand: tuple[RobotConfig, ...], more: Check | None) -> SwarmConfig:
+        """Report what is wrong between the parts of a file; return the settings with all its robots."""
+        places: dict[str, KeyPath] = {each.id: ("robot", index) for index, each in enumerate(config.robot)}
+        config = config.model_copy(update={"robot": shorthand + config.robot}) if shorthand else config
+        self._shorthand = len(shorthand)
+        for path, what in (*arena_problems(config), *dock_problems(config)):
+            self._report(_in_file(path, len(shorthand)), what)
+        for robot, key, what in () if more is None else more(config):
+            inner = tuple(int(part) if part.isdecimal() else part for part in key.split(".") if part)
+            self._report((*places.get(robot, ("fleet",)), *inner) if robot else inner, what)
+        return config
+
+    def warn(self, config: SwarmConfig, tell: Callable[[str], None]) -> None:
+        """Call `tell` with a line for each oddity of settings without problems."""
+        for path, what in oddities(config):
+            self._report(_in_file(path, self._shorthand), what)
+        for _, text in sorted(self._problems, key=lambda problem: problem[0]):
+            tell(text)
+        self._problems.clear()
 
     def _validate(self, schema: type[S], data: object, base: KeyPath) -> S | None:
         try:
             return validated(schema, data)
         except ValidationError as error:
-            for details in error.errors(include_url=False):
-                path, what = explain(details, schema, () if base else ("fleet",))
-                self._report(base + path, what)
+            found = [
+                explain(details, schema, () if base else ("fleet",))
+                for details in own_errors(error.errors(include_url=False))
+            ]
+            for path, what in found:
+                # A key that is missing because it stands there by another name is one mistake.
+                meant = f"did you mean '{path[-1]}'?" if path else ""
+                if not any(other[:-1] == path[:-1] and meant in text for other, text in found if other != path):
+                    self._report(base + path, what)
             return None
 
     def _find_duplicates(self, robots: object, taken: dict[str, str]) -> None:
@@ -240,6 +253,9 @@ class _Document:
         if path[1:2] == (0,) and isinstance(self._data.get(str(path[0])), dict):
             path = (path[0], *path[2:])  # one table where a list of tables may stand
         key = dotted(path)
+        if not path:
+            self._problems.append((1, f"{self._name}:1: {what}"))
+            return
         for length in range(len(path), 0, -1):
             label = self._overridden.get(path[:length])
             if label is not None:

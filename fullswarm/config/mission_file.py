@@ -38,7 +38,17 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
 from fullswarm.config.models import Section
-from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers, own_errors, parse_toml, validated
+from fullswarm.config.suggestions import unknown_key
+from fullswarm.config.toml_errors import (
+    KeyPath,
+    dotted,
+    explain,
+    line_numbers,
+    own_errors,
+    parse_toml,
+    read_toml,
+    validated,
+)
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.fitness import needs_of
 from fullswarm.keys import ROBOT_ID
@@ -189,14 +199,7 @@ def load_mission(path: Path) -> MissionFile:
     ConfigError
         It cannot be read, or something is wrong with it: all errors, each as ``file:line: key: what``.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise ConfigError("no such file", where=str(path), hint="give the path of a mission file (TOML)") from None
-    except OSError as error:
-        raise ConfigError(str(error.strerror or error), where=str(path)) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"is not UTF-8 text (byte {error.start})", where=str(path)) from None
+    text = read_toml(path, "mission file")
     return parse_mission(text, str(path), path.stem)
 
 
@@ -218,7 +221,11 @@ def _read(data: Mapping[str, Any], lines: Mapping[KeyPath, int], where: str, nam
         raise _error(where, lines, found) from None
     if bool(section.steps) == bool(section.tracks):
         what = "has both steps and tracks" if section.steps else "has no steps"
-        raise ConfigError(f"{where}: {what}", hint="write [[steps]], or [[tracks.NAME.steps]] for several tracks")
+        raise ConfigError(
+            what,
+            where=f"{where}:1" if lines else where,
+            hint="write [[steps]], or [[tracks.NAME.steps]] for several tracks",
+        )
     tracks = {MAIN: TrackSection(steps=section.steps)} if section.steps else section.tracks
     plan = MissionPlan(
         name=section.name or name[:64],
@@ -239,7 +246,7 @@ def _explained(details: ErrorDetails) -> tuple[KeyPath, str]:
         if part in path[:-1]:
             schema = table
     if details["type"] == "extra_forbidden":
-        return path, f"unknown key, {did_you_mean(str(path[-1]), schema.model_fields)}"
+        return path, unknown_key(str(path[-1]), schema.model_fields, schema.__name__)
     return explain(details, schema)
 
 

@@ -21,8 +21,8 @@ from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
 from fullswarm.launch import reload
 from fullswarm.launch.network import on_free_ports, on_network
+from fullswarm.launch.recorder import add_recorder, check_record
 from fullswarm.launch.supervisor import Supervisor
-from fullswarm.launch.up import add_recorder, check_record
 from fullswarm.launch.web_console import INSTALL, WebConsole, graphical, missing_extra, open_browser
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console.serve import OPEN_S, RedirectPage

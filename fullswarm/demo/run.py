@@ -21,7 +21,6 @@ from fullswarm.operator.client import Operator
 from fullswarm.operator.render import fleet_table
 from fullswarm.operator.view import Snapshot
 from fullswarm.output import progress
-from fullswarm.simulation.starts import start_problems
 
 DEMO_FILE = Path(__file__).with_name("demo.toml")
 NAMED = {"mixed": Path(__file__).with_name("mixed.toml")}
@@ -31,7 +30,7 @@ NAMED = {"mixed": Path(__file__).with_name("mixed.toml")}
 def demo_config(fleet: Path | None, overrides: tuple[str, ...], network: str | None = None) -> SwarmConfig:
     """Return the demo's settings, or those of the user's own fleet file, on a bad network if one is wanted."""
     named = NAMED.get(str(fleet)) if fleet is not None and not fleet.exists() else None
-    return with_network(load_fleet(named or fleet or DEMO_FILE, overrides, here=True, check=start_problems), network)
+    return with_network(load_fleet(named or fleet or DEMO_FILE, overrides, here=True), network)
 
 
 def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool, record: Path | None = None) -> int:
@@ -44,7 +43,7 @@ def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool, 
     section = config.network.model_copy(update={"seed": seed})
     recorder = None
     if record is not None:
-        from fullswarm.launch.up import check_record
+        from fullswarm.launch.recorder import check_record
 
         check_record(record)
         from fullswarm.record.lockstep import LockstepRecorder

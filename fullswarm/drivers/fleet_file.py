@@ -7,68 +7,121 @@ added to the URL here.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 from fullswarm import registry
 from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
-from fullswarm.config.fleet_file import Check
 from fullswarm.drivers.base import Description
-from fullswarm.drivers.make import Claim, emulated, make_of
+from fullswarm.drivers.make import Claim, Make, Model, emulated, make_of, makes
 from fullswarm.drivers.ranges import parse_url
 from fullswarm.drivers.tof.settings import SCHEME
-from fullswarm.errors import ConfigError, FullswarmError, did_you_mean, nearest
+from fullswarm.errors import ConfigError, FullswarmError, nearest, without_login
+from fullswarm.output import warning
 
 
-def load_fleet(
-    path: Path | str, overrides: Iterable[str] = (), *, here: bool = False, check: Check | None = None
-) -> SwarmConfig:
+def load_fleet(path: Path | str, overrides: Iterable[str] = (), *, here: bool = False) -> SwarmConfig:
     """Read and check a fleet file as `load_swarm` does, and its robots' drivers as well.
 
     Parameters
     ----------
-    here : the agents will run on this computer, but for those with a `host` of their own: each of them needs a driver
-        that is installed here and a port of its own. Otherwise only a misspelt scheme is refused.
-    check : yields more that is wrong, as `problems` does; for start poses ``simulation.starts.start_problems``
+    here : the agents will run on this computer, but for those with a `host` of their own: there is at least one robot,
+        and each of them needs a driver that is installed here, takes its URL, and has a port of its own. What is odd
+        is printed on stderr. Otherwise only a misspelt scheme is refused.
 
     Raises
     ------
     ConfigError
         All that is wrong, one line each: ``file:line: key: what``.
     """
-
-    def all_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
-        yield from problems(config, here=here)
-        if check is not None:
-            yield from check(config)
-
-    return load_swarm(path, overrides, all_problems)
+    return load_swarm(
+        path, overrides, partial(problems, here=here, folder=Path(path).parent), warning if here else None
+    )
 
 
-def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield (robot, key, what is wrong)."""
-    schemes: tuple[str, ...] = ()
+def problems(config: SwarmConfig, *, here: bool, folder: Path = Path()) -> Iterator[tuple[str, str, str]]:
+    """Yield (robot, key, what is wrong); without a robot it is about the file, which is in `folder`."""
+    if here and not config.robot:
+        yield "", "", "names no robot: write [[robot]] with an id, or [fleet] count = 4"
     words = emulated() if any(robot.emulate for robot in config.robot) else {}
     for robot in config.robot:
-        if robot.emulate and robot.emulate not in words:
-            yield robot.id, "emulate", f"no emulated robot '{robot.emulate}', {did_you_mean(robot.emulate, words)}"
-        scheme = urlsplit(robot.url).scheme
-        if scheme in registry.DRIVERS:
-            continue
-        schemes = schemes or registry.driver_schemes()
-        if scheme not in schemes and (nearest(scheme, schemes) or (here and not robot.elsewhere)):
-            yield robot.id, "driver", f"no driver for '{scheme or robot.url}', {did_you_mean(scheme, schemes)}"
+        if robot.emulate:
+            yield from _emulation_problems(robot, words)
+        if what := _driver_problem(robot, here=here):
+            yield robot.id, "driver", what
     yield from _range_problems(config)
-    taken: dict[tuple[str, ...], RobotConfig] = {}
+    if here:
+        yield from _missing_files(config, folder)
+    taken: dict[tuple[str, ...], str] = {}
+    if config.world is not None and any(robot.simulated for robot in config.robot):
+        taken["", "the UDP port", config.world.address.rpartition(":")[2]] = "the simulated world (world.address)"
     for robot in config.robot:
         if not robot.driver or not (here or robot.elsewhere):
             continue
         for claim in _claims(robot):
-            other = taken.setdefault((robot.host if robot.elsewhere else "", *claim.words), robot)
-            if other is not robot:
-                yield robot.id, "driver", f"{' '.join(claim.words)} is taken by {other.id}: {claim.advice}"
+            other = taken.setdefault((robot.host if robot.elsewhere else "", *claim.words), robot.id)
+            if other != robot.id:
+                yield robot.id, "driver", f"{' '.join(claim.words)} is taken by {other}: {claim.advice}"
                 break
+
+
+def _emulation_problems(robot: RobotConfig, words: Mapping[str, tuple[Make, Model]]) -> Iterator[tuple[str, str, str]]:
+    word = robot.emulate or ""
+    if word not in words:
+        without = next((make for make in makes() if word in (make.name, *make.schemes) and not make.emulation), None)
+        why = f"{without.robots} have no emulator" if without is not None else f"no emulated robot '{word}'"
+        near = nearest(word, words)
+        guess = f"did you mean '{near}'? " if near else ""
+        yield robot.id, "emulate", f"{why}, {guess}known: {', '.join(sorted(words))}"
+    elif robot.driver and (scheme := urlsplit(robot.driver).scheme) not in words[word][0].schemes:
+        schemes = " or ".join(f"{each}:" for each in words[word][0].schemes)
+        what = f"'{word}' is emulated behind {schemes}, not {scheme or robot.driver}: leave the driver out"
+        yield robot.id, "driver", what
+
+
+def _driver_problem(robot: RobotConfig, *, here: bool) -> str:
+    """Return why a robot's URL is none that a driver takes; empty: nothing is known against it."""
+    scheme, here = urlsplit(robot.url).scheme, here and not robot.elsewhere
+    if scheme not in registry.DRIVERS:
+        schemes = registry.driver_schemes()
+        if scheme not in schemes:
+            if not (here or nearest(scheme, schemes)):
+                return ""  # of a package that another computer has
+            return f"no driver for '{without_login(scheme or robot.url)}', {_meant_url(robot.url, scheme, schemes)}"
+    if not here or robot.emulate or scheme == "sim":
+        return ""
+    try:
+        registry.driver_class(robot.url)(robot.url)  # reads the URL, opens nothing
+    except FullswarmError as error:
+        what = f"{without_login(robot.driver)}: {error.what}" if error.where else error.what
+        return f"{what}; {error.hint}" if error.hint else what
+    return ""
+
+
+def _meant_url(url: str, scheme: str, schemes: Sequence[str]) -> str:
+    """Return which URL may be meant by one whose scheme has no driver."""
+    known = f"known: {', '.join(sorted(schemes))}"
+    if not scheme and url.startswith("/"):
+        return f"write the make in front of the port: create://{url}; {known}"
+    word = (scheme or url).lower()
+    make = next((each for each in makes() if word == each.name or word in each.schemes), None)
+    if make is not None and make.example:
+        return f"did you mean '{make.example}'? {known}"
+    near = nearest(word, schemes)
+    return f"did you mean '{near}'? {known}" if near else known
+
+
+def _missing_files(config: SwarmConfig, folder: Path) -> Iterator[tuple[str, str, str]]:
+    """Report files and folders that the processes of this computer would miss."""
+    store = config.core.store
+    if store is not None and not store.absolute().parent.is_dir():
+        yield "", "core.store", f"there is no folder {store.absolute().parent}: make it, or name another file"
+    for index, camera in enumerate(config.camera):
+        if camera.calibration is not None and not (folder / camera.calibration).is_file():
+            what = f"there is no file {folder / camera.calibration}: `fullswarm track calibrate` writes it"
+            yield "", f"camera.{index}.calibration", what
 
 
 def _range_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:

@@ -42,7 +42,6 @@ from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.session import own_credentials
 from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime
-from fullswarm.simulation.starts import start_problems
 from fullswarm.simulation.world import World
 
 RUNNER = "fleet"
@@ -79,7 +78,7 @@ def run_fleet(
     SafetyStop
         A robot is held by an e-stop: nothing goes on by itself. The trial is kept as a failed one.
     """
-    config = fleet if isinstance(fleet, SwarmConfig) else load_fleet(fleet, here=True, check=start_problems)
+    config = fleet if isinstance(fleet, SwarmConfig) else load_fleet(fleet, here=True)
     fits, left_out = choose(trials, config)
     print_left_out(left_out)
     if not fits:

@@ -33,8 +33,8 @@ from fullswarm.fitness import ANYTHING
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports, on_network
 from fullswarm.launch.nodes import process_id
+from fullswarm.launch.recorder import add_recorder
 from fullswarm.launch.supervisor import USAGE, Supervisor
-from fullswarm.launch.up import add_recorder
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import Needs, RequestStatus, Value
 from fullswarm.operator.client import Operator

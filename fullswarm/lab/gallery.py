@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.pictures.scene import check_still, write_still
 from fullswarm.evaluate.trial_folder import Trajectory
 from fullswarm.lab.lab import Lab
+from fullswarm.output import Progress
 
 FILTERED = "_bc"
 WIDTH_PX = 640
@@ -100,8 +101,8 @@ def scene_of(behaviour: str, changes: Mapping[str, Any], parameters: Mapping[str
     return replace(found, **changes, parameters={**found.parameters, **parameters})
 
 
-def run(behaviour: str, scene: Scene) -> Trajectory:
-    """Run a behaviour in lockstep; return where all robots were.
+def run(behaviour: str, scene: Scene, tell: Callable[[int, int], None] = lambda _done, _of: None) -> Trajectory:
+    """Run a behaviour in lockstep; return where all robots were. `tell` is called with the simulated seconds so far.
 
     Raises
     ------
@@ -122,6 +123,7 @@ def run(behaviour: str, scene: Scene) -> Trajectory:
         expires_s = make_record(behaviour, records).expires_s
         while lab.time_s < scene.seconds - 1e-6:
             lab.run(min(0.1, scene.seconds - lab.time_s))
+            tell(int(lab.time_s), int(scene.seconds))
             if expires_s:  # what a stick sends is repeated
                 lab.request(behaviour, **scene.parameters)
         return lab.record
@@ -130,7 +132,8 @@ def run(behaviour: str, scene: Scene) -> Trajectory:
 def draw(behaviour: str, scene: Scene, path: Path, width_px: int = WIDTH_PX) -> Trajectory:
     """Run a behaviour and write its picture, a .png or .svg; return where all robots were."""
     check_still(path)  # before minutes of work
-    found = run(behaviour, scene)
+    with Progress("simulated seconds") as progress:
+        found = run(behaviour, scene, progress.parts)
     from_s = max(0.0, scene.seconds - scene.trail_s) if scene.trail_s else None
     write_still(found, path, caption=behaviour, width_px=width_px, from_s=from_s)
     return found

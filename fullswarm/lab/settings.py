@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.config.arena import start_problems
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError
 from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
-from fullswarm.simulation.starts import start_problems
 
 USUAL_ENGINE = "kinematic"
 """Of a laboratory without a fleet file: exact, and the fastest."""
@@ -38,7 +38,7 @@ def from_file(fleet: Path | str | SwarmConfig, settings: Mapping[str, object], s
             raise ConfigError("gives settings twice", where="Lab", hint="change the SwarmConfig itself")
         return _for_lockstep(fleet, seed)
     overrides = [f"{key}={_toml(value)}" for key, value in settings.items()]
-    return _for_lockstep(load_fleet(fleet, tuple(overrides), here=True, check=start_problems), seed)
+    return _for_lockstep(load_fleet(fleet, tuple(overrides), here=True), seed)
 
 
 def from_arguments(
@@ -77,7 +77,7 @@ def from_arguments(
         raise ConfigError("; ".join(lines), where="Lab") from None
     if starts is None:
         config = config.model_copy(update={"robot": _placed(config, seed)})
-    wrong = [what for _, _, what in start_problems(config)]
+    wrong = [what for _, what in start_problems(config)]
     if wrong:
         raise ConfigError(
             "; ".join(wrong), where="starts", hint="robots are discs; start them apart and inside the walls"

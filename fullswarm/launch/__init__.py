@@ -13,6 +13,8 @@ In: a fleet file. Out: running processes, or a whole swarm in one process.
 ``journals.py``     builds a process's nodes with a journal, and builds them again of one
 ``run_folder.py``   folders of a run, which no other user may enter: made, removed after a crash; bounded logs
 ``liveness.py``     how each process shows its supervisor that its loop runs
+``complaints.py``   tells the person at the terminal of `up` what goes wrong, once each
+``recorder.py``     whether recordings can be made here, and the recorder beside a swarm
 ``up.py``           `fullswarm up`: the supervisor in a terminal
 ``stopping.py``     checks a fleet file before a start: can its robots stop in time?
 ``web_console.py``  the web console as one more process beside a swarm

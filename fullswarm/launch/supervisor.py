@@ -14,7 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -115,6 +115,7 @@ class Supervisor:
     world : start the world, if the fleet has simulated robots
     develop : folder of a package under development: its laws and records are loaded again when they change
     journals : folder for the journals of the processes, see :mod:`fullswarm.launch.journals`; None: there are none
+    on_end : called with a process that has ended by itself, before it is started again
     """
 
     config: SwarmConfig
@@ -124,6 +125,7 @@ class Supervisor:
     insecure_network: bool = False
     develop: Path | None = None
     journals: Path | None = None
+    on_end: Callable[[Child], None] | None = None
     children: dict[str, Child] = field(default_factory=dict)
     _reports: tuple[Bus, str, str] | None = None  # bus, key, host
     _reported_s: float = -REPORT_S
@@ -202,7 +204,7 @@ class Supervisor:
 
     def log_tail(self, name: str, lines: int = 5) -> str:
         """Return the end of what a child wrote to stderr."""
-        path = self._log_file(name)
+        path = self.log_file(name)
         return "\n".join(path.read_text(errors="replace").splitlines()[-lines:]) if path.exists() else ""
 
     def report_to(self, bus: SenderBus) -> None:
@@ -259,7 +261,7 @@ class Supervisor:
         if child.pipe is not None:
             child.pipe.close()
         child.silent_s, child.killed = 0.0, False
-        log_file = self._log_file(child.name)
+        log_file = self.log_file(child.name)
         data = self.output(child.name) if child.guest else log_file
         arguments = (*child.arguments, "--with-parent")
         spare, self._spare = self._spare, None
@@ -305,9 +307,10 @@ class Supervisor:
 
     def _bound_logs(self) -> None:
         for child in self.children.values():
-            bound_log(self._log_file(child.name), LOG_BYTES)
+            bound_log(self.log_file(child.name), LOG_BYTES)
 
-    def _log_file(self, name: str) -> Path:
+    def log_file(self, name: str) -> Path:
+        """Return the file with what a child writes to stderr."""
         return self.folder / f"{name}.log"
 
     def _watch(self) -> None:
@@ -327,7 +330,10 @@ class Supervisor:
                     raise ConfigError(child.given_up.removeprefix("error: "), where=child.name)
             elif child.again_s == 0.0:
                 _note_end(child, code)
-                log.warning("a process died and is started again", process=child.name, code=code)
+                if self.on_end is None:
+                    log.warning("a process died and is started again", process=child.name, code=code)
+                else:
+                    self.on_end(child)
                 if now_s - child.started_s > STEADY_S:
                     child.backoff_s = FIRST_BACKOFF_S
                     self._spawn(child)
@@ -346,7 +352,8 @@ class Supervisor:
             return
         child.silent_s += passed_s
         if self.restart and child.silent_s >= FROZEN_S and not child.killed:
-            log.warning("a process is frozen and is killed", process=child.name, silent_s=round(child.silent_s, 1))
+            if self.on_end is None:
+                log.warning("a process is frozen and is killed", process=child.name, silent_s=round(child.silent_s, 1))
             child.killed = True
             _note_end(child, -signal.SIGKILL)
             process.kill()

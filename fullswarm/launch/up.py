@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import signal
 from pathlib import Path
 
@@ -14,13 +13,14 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames
 from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.keys import Keys
 from fullswarm.launch import reload
-from fullswarm.launch.journals import journal_folder
+from fullswarm.launch.complaints import Complaints
 from fullswarm.launch.network import with_network
 from fullswarm.launch.processes import usual_audit_folder
-from fullswarm.launch.spare import FLEET
+from fullswarm.launch.recorder import add_recorder, check_record
 from fullswarm.launch.stopping import check_fleet
-from fullswarm.launch.supervisor import RECORDER, Supervisor
+from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, missing_extra
 from fullswarm.output import INTERRUPTED, progress
 from fullswarm.runtime import Runtime
@@ -44,45 +44,24 @@ def _hint(config: SwarmConfig, folder: Path, record: Path | None) -> str:
     return f"{swarm}; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"
 
 
-def can_record() -> bool:
-    """Tell whether what recordings need is installed."""
-    return all(importlib.util.find_spec(each) is not None for each in ("mcap", "foxglove"))
-
-
-def check_record(record: Path) -> None:
-    """Raise `MissingExtra` where nothing can be recorded, and `ConfigError` where the file cannot be made."""
-    if not can_record():
-        raise MissingExtra("recordings are not installed", hint="pip install 'fullswarm[record]'")
-    if record.exists():
-        raise ConfigError("this file is there already", where=str(record), hint="name another one with --record")
-    if not record.parent.is_dir():
-        raise ConfigError("there is no such folder", where=str(record.parent))
-
-
-def add_recorder(supervisor: Supervisor, record: Path) -> None:
-    """Have the supervisor's swarm recorded from its start to its end; before `Supervisor.start`."""
-    config = supervisor.config
-    supervisor.journals = journal_folder(supervisor.folder)
-    supervisor.journals.mkdir(mode=0o700)
-    supervisor.add(
-        RECORDER, "record", "start", "--out", str(record.absolute()), "--hub", config.hub.endpoint,
-        "--swarm", config.swarm, "--fleet", str(supervisor.folder / FLEET), guest=True,
-    )  # fmt: skip
-
-
 def run(
     config: SwarmConfig,
     insecure_network: bool,
     network: str | None = None,
     *,
     console: bool = False,
+    api: bool = False,
     develop: Path | None = None,
     record: Path | None = None,
 ) -> int:
     """Start the processes, start those again that die, end all in order on Ctrl-C or SIGTERM.
 
+    What goes wrong with a process or a robot's driver is printed as it happens, see
+    :class:`~fullswarm.launch.complaints.Complaints`.
+
     Parameters
     ----------
+    api : the console serves programs, too
     develop : folder of a package whose behaviours are loaded again when their files change
     record : file for a recording of the whole run
 
@@ -93,6 +72,8 @@ def run(
     MissingExtra
         The web console is wanted, but not installed.
     """
+    if api and not console:
+        raise ConfigError("programs are served by the console", where="--api", hint="add --console")
     if console and (problem := missing_extra()):
         raise MissingExtra(problem, hint=INSTALL)
     if record is not None:
@@ -113,11 +94,15 @@ def run(
     credentials = credentials_at(config.hub.endpoint, config.swarm, CORE, "core")
     bus = ZenohBus(runtime.mailbox, hub=config.hub.endpoint, credentials=credentials)
     supervisor.report_to(bus)
+    complaints = Complaints(runtime, supervisor.log_file, progress)
+    supervisor.on_end = complaints.ended
+    complaints.listen(bus, Keys(config.swarm))
     try:
         if develop is not None:
             reload.watch(develop, runtime)
         if console:
-            options = () if record is None else ("--recorded-to", str(record.absolute()))
+            options: tuple[str, ...] = ("--api",) if api else ()
+            options += () if record is None else ("--recorded-to", str(record.absolute()))
             WebConsole(supervisor, runtime, lambda address: progress(f"\nOpen {address}\n"), progress, options)
         if record is not None:
             add_recorder(supervisor, record)

@@ -2,67 +2,30 @@
 
 from __future__ import annotations
 
-import getpass
 import os
-import re
 import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from types import FrameType
 
 from fullswarm.bus.base import Bus
 from fullswarm.bus.endpoint import credentials_at
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import DEFAULT_HUB
-from fullswarm.errors import ConfigError, Unreachable
+from fullswarm.errors import Unreachable
 from fullswarm.identity import Credentials
 from fullswarm.identity.folder import certificate_name
 from fullswarm.keys import Keys
 from fullswarm.operator.client import Operator
+from fullswarm.operator.target import OPERATOR as OPERATOR
+from fullswarm.operator.target import Target as Target
+from fullswarm.operator.target import operator_name as operator_name
+from fullswarm.operator.target import usual_name as usual_name
 from fullswarm.output import log_to_stderr
 from fullswarm.runtime import Runtime
 
 CONNECT_S = 3.0
-OPERATOR = "FULLSWARM_OPERATOR"
-_NAME = re.compile(r"[^\s,;()]{1,64}\Z")
-
-
-def operator_name(given: str) -> str:
-    """Return the name that an operator chose, if it fits into ``r1 is held by …``.
-
-    Raises
-    ------
-    ConfigError
-        It does not.
-    """
-    if not _NAME.match(given) or not given.isprintable():
-        hint = "64 characters at most, no spaces, commas or brackets, e.g. anna@lab"
-        raise ConfigError(f"'{given:.80}' cannot name an operator", where=f"--operator or {OPERATOR}", hint=hint)
-    return given
-
-
-def usual_name() -> str:
-    """Return the environment's ``FULLSWARM_OPERATOR``, else ``user@host``; never fails: a stop needs no name."""
-    try:
-        return operator_name(os.environ[OPERATOR])
-    except (KeyError, ConfigError):
-        pass
-    try:
-        user = getpass.getuser()
-    except (OSError, KeyError):  # an account without a name, as in some containers
-        user = "operator"
-    return re.sub(r"[^\w.@-]", "-", f"{user}@{socket.gethostname()}")[:64]
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """The swarm of a command, and its operator; no `hub` means the one on this machine."""
-
-    hub: str | None = None
-    swarm: str = "swarm"
-    operator: str = ""  # empty: see `usual_name`
 
 
 class Session:

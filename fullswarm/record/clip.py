@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -24,6 +24,10 @@ LATE_NS = 1_000_000_000
 PARAMETERS = "/params/"
 """Topics on which each message states one entry of a database: of each entry the newest is needed."""
 MOST_ENTRIES = 20_000
+
+
+TOLD_EACH = 1000
+"""Messages between two calls of what shows progress."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +79,12 @@ def _moment(text: str, option: str, first_ns: int) -> int:
         raise ConfigError(f"invalid time '{text}'", where=option, hint=hint) from None
 
 
-def clip(path: Path, out: Path, wanted: Range) -> Contents:
+def clip(path: Path, out: Path, wanted: Range, tell: Callable[[int], None] = lambda _: None) -> Contents:
     """Copy a part of a recording into the new file `out`; return what that holds.
 
     The newest message of each channel before the part, and the newest of each parameter, stand at its beginning: poses,
     health and settings are known from its first moment on. Journals are left out: nodes cannot be run again from the
-    middle.
+    middle. `tell` is called with the number of messages that were read, now and then.
 
     Raises
     ------
@@ -97,7 +101,7 @@ def clip(path: Path, out: Path, wanted: Range) -> Contents:
     try:
         with replacing(out, 0o600) as part:
             with part.open("wb") as stream:
-                copy = _Copy(writer_into(stream), wanted)
+                copy = _Copy(writer_into(stream), wanted, tell)
                 for file in (path, *continued(path)):
                     if not copy.file(file):
                         break
@@ -116,6 +120,8 @@ class _Copy:
 
     writer: Any
     wanted: Range
+    tell: Callable[[int], None]
+    read: int = 0
     messages: int = 0
     earlier: int = 0
     _known: dict[tuple[str, str, str], Message] = field(default_factory=dict)  # by topic, sender, key of a parameter
@@ -135,6 +141,9 @@ class _Copy:
             elif isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, Message) and record.channel_id in channels:
+                self.read += 1
+                if self.read % TOLD_EACH == 0:
+                    self.tell(self.read)
                 if record.log_time > self.wanted.to_ns + LATE_NS:
                     return False
                 channel = channels[record.channel_id]

@@ -7,7 +7,7 @@ import math
 import multiprocessing
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,9 +23,13 @@ from fullswarm.journal.feed import Event, events
 from fullswarm.journal.journal import FORMAT, read_block
 from fullswarm.journal.naming import Difference, difference
 from fullswarm.launch.journals import code_hash, rebuild
+from fullswarm.output import Progress
 from fullswarm.record.reading import continued, records
 from fullswarm.record.recorder import JOURNAL
 from fullswarm.record.recording import PROFILE
+
+IDLE_S = 1.0
+"""How often the progress is shown while processes run."""
 
 Blocks = list[bytes]
 _blocks = msgspec.msgpack.Decoder(list[tuple[str, bytes]])
@@ -153,23 +157,30 @@ def replay(found: Recorded, robots: Sequence[str], window: Window, jobs: int) ->
     start_s = min((each.time_s for each in begun.values() if not math.isnan(each.time_s)), default=0.0)
     chosen = [process for process in found.journals if not robots or names[process] in robots]
     outcomes: dict[str, Outcome] = {}
-    for compiled in (False, True):  # which holds for all of a worker
-        work = {
-            process: (process, names[process], found.journals[process], start_s, window)
-            for process in chosen
-            if begun[process].compiled is compiled
-        }
-        outcomes |= _run_all(work, jobs)
+    with Progress("processes", len(chosen)) as progress:
+        for compiled in (False, True):  # which holds for all of a worker
+            work = {
+                process: (process, names[process], found.journals[process], start_s, window)
+                for process in chosen
+                if begun[process].compiled is compiled
+            }
+            outcomes |= _run_all(work, jobs, len(outcomes), progress)
     return [outcomes[process] for process in chosen]
 
 
-def _run_all(work: dict[str, tuple[str, str, Blocks, float, Window]], jobs: int) -> dict[str, Outcome]:
+def _run_all(
+    work: dict[str, tuple[str, str, Blocks, float, Window]], jobs: int, done: int, progress: Progress
+) -> dict[str, Outcome]:
     if not work:
         return {}
     count = min(jobs or os.cpu_count() or 1, len(work))
     outcomes = {}
     with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
         futures = {process: pool.submit(run_journal, *each) for process, each in work.items()}
+        waiting = set(futures.values())
+        while waiting:
+            _, waiting = wait(waiting, IDLE_S, return_when=FIRST_COMPLETED)
+            progress.at(done + len(futures) - len(waiting))
         for process, future in futures.items():
             try:
                 outcomes[process] = future.result()

@@ -14,13 +14,14 @@ from functools import partial
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.errors import ConfigError
-from fullswarm.output import quiet
+from fullswarm.output import Progress, quiet
 from fullswarm.rehearse.episode import EPISODE_S, Result, faults_of, run
 
 HOUR_S = 3600.0
 SHRINK_RUNS = 24
 """At most so many episodes are run again to find the faults that matter."""
 DIGITS = 4
+IDLE_S = 1.0
 ROBOTS = 8
 
 
@@ -115,12 +116,12 @@ class Report:
         }
 
 
-def rehearse(options: Options, progress: Callable[[str], None] = lambda _: None, clock: Clock | None = None) -> Report:
+def rehearse(options: Options, progress: Progress | None = None, clock: Clock | None = None) -> Report:
     """Run all episodes.
 
     Parameters
     ----------
-    progress : called with a line now and then
+    progress : shows how many episodes are done; None: nobody looks
 
     Raises
     ------
@@ -144,21 +145,20 @@ def rehearse(options: Options, progress: Callable[[str], None] = lambda _: None,
         _work, options.seed, robots=options.robots, seconds=options.episode_s, only=options.only, keep=options.keep
     )
     clock = clock or MonotonicClock()
-    began_s = clock.now_s()
-    for result in _results(work, numbers, options, clock):
+    if progress:
+        progress.parts(0, len(numbers))
+    for result in _results(work, numbers, options, clock, progress.tick if progress else _not_shown):
         report.results.append(result)
-        took_s = clock.now_s() - began_s
         broken = sum(len(each.violations) for each in report.results)
-        progress(
-            f"{len(report.results)}/{len(numbers)} episodes, {report.hours:.2f} h in {took_s:.0f} s, "
-            f"{broken} violation{'s' * (broken != 1)}"
-        )
+        if progress:
+            note = f"{report.hours:.2f} simulated hours, {broken} violation{'s' * (broken != 1)}"
+            progress.parts(len(report.results), len(numbers), note)
     report.results.sort(key=lambda each: each.episode)
     for result in report.results:
         if result.violations:
             report.failures.append(Failure(result))
     if report.failures and options.keep is None and options.reduce:
-        report.failures[0] = shrink(report.failures[0], options, progress)
+        report.failures[0] = shrink(report.failures[0], options, progress.say if progress else _not_shown)
     return report
 
 
@@ -173,8 +173,14 @@ def _be_quiet() -> None:
     quiet()
 
 
-def _results(work: Callable[[int], Result], numbers: Sequence[int], options: Options, clock: Clock) -> Iterator[Result]:
-    """Yield the results as they come, from as many processes as there are cores."""
+def _not_shown(_: str = "") -> None:
+    """Take the place of what shows progress."""
+
+
+def _results(
+    work: Callable[[int], Result], numbers: Sequence[int], options: Options, clock: Clock, idle: Callable[[], None]
+) -> Iterator[Result]:
+    """Yield the results as they come, from as many processes as there are cores; call `idle` while waiting for them."""
     jobs = options.jobs or os.cpu_count() or 1
     if jobs == 1 or len(numbers) == 1:
         began_s = clock.now_s()
@@ -191,7 +197,8 @@ def _results(work: Callable[[int], Result], numbers: Sequence[int], options: Opt
             if len(waiting) == jobs:
                 break
         while waiting:
-            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            done, waiting = wait(waiting, IDLE_S, return_when=FIRST_COMPLETED)
+            idle()
             for each in done:
                 if options.wall_s is None or clock.now_s() - began_s < options.wall_s:
                     waiting |= {pool.submit(work, number) for number in itertools.islice(left, 1)}

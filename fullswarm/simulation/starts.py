@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fullswarm.config import SwarmConfig, WorldConfig
+from fullswarm.config import WorldConfig
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array
 from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
@@ -133,11 +133,3 @@ def pose_errors(config: WorldConfig, ids: Sequence[str], poses: Array) -> Iterat
         apart = np.hypot(poses[i + 1 :, 0] - x, poses[i + 1 :, 1] - y)
         for j in np.flatnonzero(apart < radius_m[i] + radius_m[i + 1 :] - SLACK_M):
             yield ids[i], f"{ids[i]} and {ids[i + 1 + int(j)]} overlap, {apart[j]:.2f} m apart"
-
-
-def start_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
-    """Yield (robot, key, what is wrong) for the start poses that a fleet file gives to simulated robots."""
-    placed = [(each.id, each.pose) for each in config.robot if each.simulated and each.pose is not None]
-    poses = np.array([pose for _, pose in placed], float).reshape(-1, 3)
-    for robot, what in pose_errors(config.world_or_default, [robot for robot, _ in placed], poses):
-        yield robot, "pose", what

@@ -44,7 +44,17 @@ from pydantic_core import ErrorDetails
 from fullswarm.config import SwarmConfig
 from fullswarm.config.mission_file import load_mission
 from fullswarm.config.models import Section
-from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers, own_errors, parse_toml, validated
+from fullswarm.config.suggestions import unknown_key
+from fullswarm.config.toml_errors import (
+    KeyPath,
+    dotted,
+    explain,
+    line_numbers,
+    own_errors,
+    parse_toml,
+    read_toml,
+    validated,
+)
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.launch.network import with_network
@@ -181,12 +191,7 @@ def load_study(path: Path) -> StudyFile:
         All that is wrong with the file itself, each as ``file:line: key: what``. Fleets are read by
         :func:`check_fleets`.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise ConfigError("no such file", where=str(path), hint="give the path of a study file (TOML)") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot be read: {error}", where=str(path)) from None
+    text = read_toml(path, "study file")
     data, lines = parse_toml(text, str(path)), line_numbers(text)
     try:
         section = validated(StudySection, data)
@@ -232,7 +237,7 @@ def _explained(details: ErrorDetails) -> tuple[KeyPath, str]:
         if part in path[:-1]:
             schema = table
     if details["type"] == "extra_forbidden":
-        return path, f"unknown key, {did_you_mean(str(path[-1]), schema.model_fields)}"
+        return path, unknown_key(str(path[-1]), schema.model_fields, schema.__name__)
     return explain(details, schema)
 
 

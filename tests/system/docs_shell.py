@@ -44,7 +44,7 @@ SWARMS = re.compile(r"fullswarm (up|demo(?!.*--lockstep))\b")
 LIMIT_S = 300.0
 """Of one command, on a machine with other work."""
 UNSHARE = ["unshare", *(["-r"] if os.getuid() else []), "--net", "--pid", "--fork", "--mount-proc", "--kill-child"]
-ERROR = re.compile(r"^(error: |╭─ Error|Traceback)", re.MULTILINE)
+ERROR = re.compile(r"^(error: |Error: |╭─ Error|Traceback)", re.MULTILINE)
 ENDED = {0, 130}
 """Exit codes of a command that Ctrl-C has ended."""
 

@@ -171,7 +171,7 @@ def _as_before(swarm: Attacked) -> Iterator[None]:
     swarm.works()
     assert swarm.lab.up is not None
     assert swarm.lab.up.poll() is None
-    assert "died and is started again" not in (swarm.lab.folder / "up.log").read_text()
+    assert "it is started again" not in (swarm.lab.folder / "up.log").read_text()
     assert not swarm.latched()
 
 

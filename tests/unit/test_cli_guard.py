@@ -47,18 +47,54 @@ def test_the_guard_lets_results_and_exits_through() -> None:
         run_guarded(raising(typer.Exit(3)))
 
 
-def test_help_imports_nothing_heavy() -> None:
-    code = (
-        "import sys\n"
-        "from fullswarm.cli.main import app\n"
-        "try:\n    app(['--help'])\n"
-        "except SystemExit as end:\n    assert end.code == 0, end.code\n"
-        "heavy = {'numpy', 'scipy', 'pybullet', 'matplotlib', 'pymavlink', 'zenoh', 'msgspec', 'pydantic'}\n"
-        "sys.exit(', '.join(sorted(heavy & set(sys.modules))) or 0)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+HEAVY = {"numpy", "scipy", "pybullet", "matplotlib", "pymavlink", "zenoh", "msgspec", "pydantic", "rich", "structlog"}
+
+
+def run_python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_help_of_every_command_imports_nothing_heavy() -> None:
+    code = f"""
+import contextlib, io, sys
+from typer.main import get_command
+from fullswarm.cli.main import app
+
+def helps(command, words):
+    for name, inner in getattr(command, "commands", {{}}).items():
+        with contextlib.redirect_stdout(io.StringIO()) as shown:
+            try:
+                app([*words, name, "--help"])
+            except SystemExit as end:
+                assert end.code == 0, (words, name)
+        assert "--help" in shown.getvalue(), (words, name)
+
+try:
+    app(["--help"])
+except SystemExit as end:
+    assert end.code == 0
+helps(get_command(app), [])
+sys.exit(", ".join(sorted({HEAVY!r} & set(sys.modules))) or 0)
+"""
+    done = run_python(code)
     assert (done.returncode, done.stderr) == (0, "")
     assert "estop" in done.stdout
+    assert "Robots and ports:" in done.stdout, "commands stand under headings"
+
+
+def test_status_says_that_there_is_no_hub_before_it_loads_what_talks_to_one() -> None:
+    code = """
+import sys
+from fullswarm.cli.main import app
+try:
+    app(["status", "--hub", "tcp/127.0.0.1:9"])
+except SystemExit as end:
+    assert end.code == 3, end.code
+sys.exit(", ".join(sorted({"zenoh", "structlog", "rich", "numpy"} & set(sys.modules))) or 0)
+"""
+    done = run_python(code)
+    assert done.returncode == 0, done.stderr
+    assert "no hub answers (start a swarm with `fullswarm up FLEET.toml`" in done.stderr
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:

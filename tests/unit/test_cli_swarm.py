@@ -154,6 +154,7 @@ class FakeSwarm:
 def swarm(monkeypatch: pytest.MonkeyPatch) -> FakeSwarm:
     fake = FakeSwarm()
     monkeypatch.setattr(session, "connect", fake.connect)
+    monkeypatch.setattr("fullswarm.operator.target.nothing_listens", lambda _hub, _within_s: False)
     return fake
 
 

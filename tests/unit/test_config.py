@@ -12,7 +12,7 @@ from fullswarm.config.fleet_file import write_swarm
 from fullswarm.config.toml_errors import KeyPath, line_numbers
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError
-from fullswarm.simulation.starts import start_problems
+from fullswarm.registry import driver_schemes
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -82,7 +82,7 @@ def test_types_are_not_guessed(tmp_path: Path) -> None:
     text = '[agent]\nspeed_gain = true\ncontrol_rate_hz = "50"\n[world]\nsubsteps = 2.5\nnoise = 3\n'
     assert complaints(tmp_path, text) == [
         "fleet.toml:2: agent.speed_gain: must be a number, not true",
-        "fleet.toml:3: agent.control_rate_hz: must be a number, not '50'",
+        "fleet.toml:3: agent.control_rate_hz: must be a number, not '50': write 50, without quotes, in Hz",
         "fleet.toml:5: world.substeps: must be a whole number, not 2.5",
         "fleet.toml:6: world.noise: must be a table, not 3",
     ]
@@ -91,15 +91,26 @@ def test_types_are_not_guessed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "line", "what"),
     [
-        ("a = 1\nb = = 2\n", 2, "Invalid value"),
-        ("[agent]\n\n[agent]\n", 3, "Cannot declare ('agent',) twice"),
-        ("[agent]\nspeed_gain = 1\nspeed_gain = 2\n", 3, "Cannot overwrite a value"),
-        ("a = [1,\n2", 2, "Unclosed array"),
-        ("x = " + "[" * 5000, 1, "nested too deeply"),
+        ("a = 1\nb = = 2\n", 2, "not valid TOML: Invalid value, column 5 in 'b = = 2'"),
+        (
+            "[agent]\n\n[agent]\n",
+            3,
+            (
+                "[agent]: stands twice, first in line 1: put its keys under one heading, or write "
+                "[[agent]] for each of several"
+            ),
+        ),
+        (
+            "[agent]\nspeed_gain = 1\nspeed_gain = 2\n",
+            3,
+            "agent.speed_gain: stands twice, first in line 2: remove one of the two",
+        ),
+        ("a = [1,\n2", 2, "not valid TOML: Unclosed array in '2' (is a bracket not closed?)"),
+        ("x = " + "[" * 5000, 1, "not valid TOML: nested too deeply"),
     ],
 )
 def test_a_syntax_error_names_its_line(tmp_path: Path, text: str, line: int, what: str) -> None:
-    assert complaints(tmp_path, text) == [f"fleet.toml:{line}: not valid TOML: {what}"]
+    assert complaints(tmp_path, text) == [f"fleet.toml:{line}: {what}"]
 
 
 def test_a_missing_file_says_what_is_there(tmp_path: Path) -> None:
@@ -163,7 +174,7 @@ def test_overrides_change_values_before_the_check(tmp_path: Path) -> None:
         tmp_path,
         '[[robot]]\nid = "a"\n[agent]\nspeed_gain = 0\n',
         "agent.speed_gain=2",
-        "world.boxes=[[1, 2, 3, 4, 0.5]]",
+        "world.boxes=[[7, 8, 3, 4, 0.5]]",
         "robot.a.driver=null://a",
         "robot.0.pose=[1, 2, 0]",
         "swarm=lab",
@@ -173,7 +184,7 @@ def test_overrides_change_values_before_the_check(tmp_path: Path) -> None:
     assert config.agent.speed_gain == 2.0
     assert config.world is not None
     assert config.world.address == "127.0.0.1:2"
-    assert config.world.boxes == ((1.0, 2.0, 3.0, 4.0, 0.5),)
+    assert config.world.boxes == ((7.0, 8.0, 3.0, 4.0, 0.5),)
     assert (config.robot[0].url, config.robot[0].pose) == ("null://a", (1.0, 2.0, 0.0))
     assert (config.swarm, config.hub.endpoint) == ("lab", "tcp/127.0.0.1:1")
 
@@ -322,19 +333,20 @@ def robots(*drivers: str) -> str:
 def fleet_complaints(tmp_path: Path, text: str, *, here: bool = True) -> list[str]:
     (tmp_path / "fleet.toml").write_text(text)
     with pytest.raises(ConfigError) as caught:
-        load_fleet(tmp_path / "fleet.toml", here=here, check=start_problems if here else None)
+        load_fleet(tmp_path / "fleet.toml", here=here)
     return [line.removeprefix(f"{tmp_path}/") for line in str(caught.value).splitlines()]
 
 
 @pytest.mark.parametrize("here", [True, False])
 def test_a_mistyped_scheme_is_refused_with_its_line(tmp_path: Path, here: bool) -> None:
     text = robots("craete:///dev/ttyUSB0", "null://r2", "mavlink+upd://127.0.0.1:14550")
+    known = f"known: {', '.join(sorted(driver_schemes()))}"
     assert fleet_complaints(tmp_path, text, here=here) == [
-        "fleet.toml:3: robot[0].driver: no driver for 'craete', did you mean 'create'?",
-        "fleet.toml:9: robot[2].driver: no driver for 'mavlink+upd', did you mean 'mavlink+udp'?",
+        f"fleet.toml:3: robot[0].driver: no driver for 'craete', did you mean 'create'? {known}",
+        f"fleet.toml:9: robot[2].driver: no driver for 'mavlink+upd', did you mean 'mavlink+udp'? {known}",
     ]
     assert fleet_complaints(tmp_path, '[fleet]\ncount = 4\ndriver = "simm"\n', here=here)[0] == (
-        "fleet.toml:3: fleet.driver: no driver for 'simm', did you mean 'sim'?"
+        f"fleet.toml:3: fleet.driver: no driver for 'simm', did you mean 'sim'? {known}"
     )
 
 
@@ -347,6 +359,7 @@ def test_a_driver_of_another_package_is_missed_only_where_the_agent_runs(tmp_pat
 
 
 CAN = "can+odrive://can0?wheel_radius=0.05&base=0.3"
+VESC = "wheel_radius=0.05&base=0.3&pole_pairs=15"
 
 
 @pytest.mark.parametrize(
@@ -359,8 +372,8 @@ CAN = "can+odrive://can0?wheel_radius=0.05&base=0.3"
         ("mavlink+tcp://10.0.0.1:5760", "mavlink+tcp://10.0.0.1:5760?sysid=1",
          "the MAVLink system 1 at tcp 10.0.0.1:5760"),
         (f"{CAN}&left=1&right=2", f"{CAN}&left=2&right=3", "the CAN node 2 of can0"),
-        ("can+vesc:///dev/ttyACM0?interface=slcan&left=1&right=2",
-         "can+vesc:///dev/ttyACM0?interface=slcan&left=3&right=4", "the port /dev/ttyACM0"),
+        (f"can+vesc:///dev/ttyACM0?interface=slcan&left=1&right=2&{VESC}",
+         f"can+vesc:///dev/ttyACM0?interface=slcan&left=3&right=4&{VESC}", "the port /dev/ttyACM0"),
         ("sim://a", "sim://a", "the simulated robot a"),
     ],
 )  # fmt: skip
@@ -378,7 +391,7 @@ def test_two_robots_on_one_port_are_refused(tmp_path: Path, one: str, other: str
         ("mavlink+tcp://10.0.0.1:5760?sysid=1", "mavlink+tcp://10.0.0.1:5760?sysid=2"),
         ("mavlink+udpout://10.0.0.1:14550?sysid=1", "mavlink+udpout://10.0.0.2:14550?sysid=1"),
         (f"{CAN}&left=1&right=2", f"{CAN}&left=3&right=4"),
-        (f"{CAN}&left=1&right=2", "can+vesc://can0?left=1&right=2"),  # other frames: standard and extended ids
+        (f"{CAN}&left=1&right=2", f"can+vesc://can0?left=1&right=2&{VESC}"),  # other frames: standard and extended ids
         ("null://x", "null://x"),
     ],
 )
@@ -403,9 +416,9 @@ def test_start_poses_that_cannot_be_are_refused_with_their_line(tmp_path: Path) 
         f'[[robot]]\nid = "r{k}"\npose = [{x}, 5, 0]\n' for k, x in enumerate((30, 5, 10, 10.2))
     )
     assert fleet_complaints(tmp_path, text) == [
-        "fleet.toml:5: robot[0].pose: r0 at (30.00, 5.00) is outside the walls",
-        "fleet.toml:8: robot[1].pose: r1 at (5.00, 5.00) overlaps box 0",
-        "fleet.toml:11: robot[2].pose: r2 and r3 overlap, 0.20 m apart",
+        "fleet.toml:5: robot[0].pose: r0 at (30.00, 5.00) lies outside the arena, bounds_m = [0, 0, 20, 20]",
+        "fleet.toml:8: robot[1].pose: r1 at (5.00, 5.00) overlaps box 0, [5.0, 5.0, 1.0, 1.0, 0.0]",
+        "fleet.toml:11: robot[2].pose: r2 and r3 overlap, 0.20 m apart: their radii need 0.34 m",
     ]
 
 

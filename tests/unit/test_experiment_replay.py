@@ -14,7 +14,6 @@ from fullswarm.cli import experiment as watch
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.pictures import Film
-from fullswarm.evaluate.pictures import replay as module
 from fullswarm.evaluate.pictures.replay import Replay, replay
 from fullswarm.evaluate.results.folder import NAMED, find_trial
 from fullswarm.evaluate.trial_folder import RESULT_FILE, TRAJECTORY_FILE, TRIALS, read_record
@@ -77,16 +76,7 @@ def test_a_picture_and_a_film_come_out(folder: Path, tmp_path: Path, capfd: pyte
         assert moving.n_frames == 21
     said = capfd.readouterr()
     assert said.out.splitlines() == [str(still), str(film)]
-    assert said.err.splitlines() == ["21 of 21 frames"]  # the clock stood still: only the end is told
-
-
-def test_progress_is_told_every_other_second(capfd: pytest.CaptureFixture[str]) -> None:
-    clock = SimClock()
-    teller = module.FrameProgress(clock)
-    for number in range(1, 8):
-        clock.advance_to(0.5 * number)
-        teller(number, 7)
-    assert capfd.readouterr().err.splitlines() == ["4 of 7 frames", "7 of 7 frames"]
+    assert said.err == "", "the clock stood still: what takes no time has no progress"
 
 
 def test_what_is_wrong_is_said_in_one_line(folder: Path, tmp_path: Path) -> None:

@@ -223,7 +223,7 @@ def test_a_file_that_is_none_and_one_without_journals(tmp_path: Path) -> None:
 def replayed(*arguments: str) -> Iterator[Any]:
     result = CliRunner().invoke(app, ["replay", *arguments])
     yield result.exit_code
-    yield result.output
+    yield result.stdout or result.stderr
 
 
 def test_the_command(recording: Path) -> None:

@@ -115,7 +115,7 @@ def test_an_unknown_name_says_which_was_meant() -> None:
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="No such file") as caught:
+    with pytest.raises(ConfigError, match="no such file") as caught:
         load_scenario(tmp_path / "none.toml")
     assert caught.value.where.endswith("none.toml")
 

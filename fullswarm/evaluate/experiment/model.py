@@ -31,7 +31,7 @@ from fullswarm.config import (
     SightConfig,
     WorldConfig,
 )
-from fullswarm.config.toml_errors import parse_section
+from fullswarm.config.toml_errors import KeyPath, dotted, line_numbers, parse_section
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.scenarios.model import package_names, read_named, scenario_names
 from fullswarm.fitness import needs_of
@@ -275,7 +275,35 @@ def load_experiment(name_or_path: str | Path) -> Experiment:
     ConfigError
         No such experiment or file, or errors in it: all of them at once, with file and line.
     """
-    return parse_experiment(*read_named(name_or_path, resources.files(__package__), "experiment"))
+    text, where = read_named(name_or_path, resources.files(__package__), "experiment")
+    return _with_scenarios(parse_experiment(text, where), text, where)
+
+
+def _with_scenarios(experiment: Experiment, text: str, where: str) -> Experiment:
+    """Return an experiment whose scenario files are looked for beside its own file, then in the present folder.
+
+    Raises
+    ------
+    ConfigError
+        Some are in neither: all of them, each with its line.
+    """
+    folder, lines, missing = Path(where).parent, line_numbers(text), list[str]()
+    groups = []
+    for number, group in enumerate(experiment.groups):
+        found = []
+        for index, name in enumerate(group.scenarios):
+            places = (folder / name, Path(name)) if name.endswith(".toml") else ()
+            there = next((place for place in places if place.is_file()), None)
+            if places and there is None:
+                path: KeyPath = ("groups", number, "scenarios", index)
+                line = next((lines[path[:end]] for end in range(len(path), 0, -1) if path[:end] in lines), 1)
+                looked = " and ".join(dict.fromkeys(str(place.absolute().parent) for place in places))
+                missing.append(f"{where}:{line}: {dotted(path)}: no file '{name}', looked in {looked}")
+            found.append(name if there is None else str(there))
+        groups.append(group.model_copy(update={"scenarios": tuple(found)}))
+    if missing:
+        raise ConfigError("\n".join(missing))
+    return experiment.model_copy(update={"groups": tuple(groups)})
 
 
 def parse_experiment(text: str, where: str) -> Experiment:

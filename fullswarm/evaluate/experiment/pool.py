@@ -22,6 +22,7 @@ Work = Callable[[Trial, int], TrialResult]
 
 DYING_S = 5.0
 """A process whose pipe is closed has ended by then."""
+IDLE_S = 1.0
 PR_SET_PDEATHSIG = 1
 """Of Linux's ``prctl``."""
 
@@ -114,10 +115,14 @@ class Pool:
     timeout_s : wall-clock seconds after which a trial is killed
     work : what a worker does with a trial; importable by its name
     retries : how often a trial is run again whose process died or ran out of time
+    idle : called about once a second while trials run
     """
 
-    def __init__(self, jobs: int, timeout_s: float, work: Work, clock: Clock | None = None, retries: int = 0) -> None:
-        self._timeout_s, self._work, self._retries = timeout_s, work, retries
+    def __init__(
+        self, jobs: int, timeout_s: float, work: Work, clock: Clock | None = None, retries: int = 0,
+        idle: Callable[[], None] = lambda: None,
+    ) -> None:  # fmt: skip
+        self._timeout_s, self._work, self._retries, self._idle = timeout_s, work, retries, idle
         self._clock = clock or MonotonicClock()
         # Spawned, not forked: a fork would inherit threads' locks, and Bullet's global state.
         self._context = multiprocessing.get_context("spawn")
@@ -172,7 +177,8 @@ class Pool:
         """Wait until a worker has answered, died or run out of time; return which, and what it had in hand."""
         busy = [(index, each, each.trial) for index, each in enumerate(self._workers) if each.trial is not None]
         next_s = min((each.began_s for _, each, _ in busy), default=0.0) + self._timeout_s - self._clock.now_s()
-        ready = wait([each.connection for _, each, _ in busy], timeout=max(0.0, next_s))
+        ready = wait([each.connection for _, each, _ in busy], timeout=min(max(0.0, next_s), IDLE_S))
+        self._idle()
         late_s = self._clock.now_s() - self._timeout_s
         return [(index, trial) for index, each, trial in busy if each.connection in ready or each.began_s <= late_s]
 

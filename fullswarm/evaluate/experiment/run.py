@@ -59,11 +59,10 @@ from fullswarm.evaluate.trial_folder import (
     trial_id,
     write_trial,
 )
-from fullswarm.launch.up import can_record
+from fullswarm.launch.recorder import can_record
 from fullswarm.messages import BehaviourRequest
 from fullswarm.store import Store
 
-PROGRESS_S = 5.0
 """How often progress is printed."""
 
 
@@ -245,32 +244,29 @@ def _run_all(trials: list[Trial], experiment: Experiment, options: Options, run_
     """Yield every trial with its result; print the progress on stderr."""
     if not trials:
         return
-    clock = MonotonicClock()
-    began_s = printed_s = clock.now_s()
     collisions = failed = 0
-    with _runner(min(options.jobs, len(trials)), experiment, options, run_one) as run_trials:
+    with (
+        output.Progress("trials", len(trials), at_once=True) as progress,
+        _runner(min(options.jobs, len(trials)), experiment, options, run_one, progress.tick) as run_trials,
+    ):
         for done, (trial, result) in enumerate(run_trials(trials), 1):
             if result.lost and options.folder is not None:
                 result = _keep_lost(options.folder, experiment.name, "dask" if options.dask else "pool", trial, result)
             failed += result.outcome is None
             collisions += result.outcome.events if result.outcome and result.outcome.safe_start else 0
-            _print_trouble(trial, result)
-            now_s = clock.now_s()
-            if now_s - printed_s >= PROGRESS_S or done == len(trials):
-                printed_s = now_s
-                left_s = (now_s - began_s) / done * (len(trials) - done)
-                output.progress(
-                    f"{done} of {len(trials)} trials, {collisions} collisions, {failed} failed, "
-                    f"about {left_s:.0f} s left"
-                )
+            _print_trouble(trial, result, progress.say)
+            progress.at(done, f"{collisions} collisions, {failed} failed")
             yield trial, result
 
 
 @contextmanager
 def _runner(
-    jobs: int, about: Experiment, options: Options, run_one: Measure
+    jobs: int, about: Experiment, options: Options, run_one: Measure, idle: Callable[[], None]
 ) -> Iterator[Callable[[list[Trial]], Results]]:
-    """Yield what runs trials: it yields each one with its result as it ends, but those that it cannot run at all."""
+    """Yield what runs trials: it yields each one with its result as it ends, but those that it cannot run at all.
+
+    While it waits it calls `idle` each second, unless it runs on a cluster or on robots.
+    """
     kind, experiment, evidence = "pool", about.name, about.evidence
     if options.fleet is not None:
         from fullswarm.evaluate.fleet_swarm import run_fleet
@@ -298,7 +294,7 @@ def _runner(
             yield cluster.run
         return
     keeper = Keeper(options.folder, experiment, run_one, kind)
-    with Pool(jobs, options.timeout_s, keeper, retries=options.retries) as pool:
+    with Pool(jobs, options.timeout_s, keeper, retries=options.retries, idle=idle) as pool:
         yield pool.run
 
 
@@ -330,13 +326,13 @@ def _finish(folder: Path) -> bool:
     return True
 
 
-def _print_trouble(trial: Trial, result: TrialResult) -> None:
+def _print_trouble(trial: Trial, result: TrialResult, say: Callable[[str], None]) -> None:
     outcome = result.outcome
     if outcome is None:
-        output.progress(f"failed: {trial.label}: {result.failure}")
+        say(f"failed: {trial.label}: {result.failure}")
     elif outcome.events and not trial.cell.collisions_expected:
         apart = "" if outcome.safe_start else " (it began outside the safe set)"
-        output.progress(f"{outcome.events} collisions: {trial.label}{apart}")
+        say(f"{outcome.events} collisions: {trial.label}{apart}")
 
 
 def _print_interrupted(options: Options, results: dict[Trial, TrialResult], trials: list[Trial]) -> None:

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fullswarm.clock import MonotonicClock
 from fullswarm.core.settings import BOUNDS, BOXES
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.pictures.film import Film, write_film
-from fullswarm.evaluate.pictures.replay import FrameProgress
 from fullswarm.evaluate.trial_folder import Trajectory
 from fullswarm.messages import HealthReport, RobotStates
+from fullswarm.output import Progress
 from fullswarm.record.clip import Range, messages_in
 from fullswarm.record.decoding import Decoder
 from fullswarm.record.playback import RecordedSwarm
@@ -132,4 +131,5 @@ def film(path: Path, out: Path, wanted: Range, speed: float, width_px: int) -> i
         raise ConfigError("this file is there already", where=str(out), hint="name another one with --out")
     fps = GIF_FPS if out.suffix.lower() == ".gif" else MP4_FPS
     settings = Film(speed=speed, fps=fps, width_px=width_px, caption=path.name)
-    return write_film(trajectory_of(path, wanted), out, settings, FrameProgress(MonotonicClock()))
+    with Progress("frames") as progress:
+        return write_film(trajectory_of(path, wanted), out, settings, progress.parts)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fullswarm import output
-from fullswarm.clock import Clock, MonotonicClock
+from fullswarm.clock import Clock
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.pictures import FILM_ENDINGS, STILL_ENDINGS, Film, write_film, write_still
 from fullswarm.evaluate.results.folder import find_trial
@@ -15,7 +15,6 @@ from fullswarm.evaluate.trial_folder import (
     read_trajectory,
 )
 
-PROGRESS_S = 2.0
 """How often progress is printed."""
 
 
@@ -62,21 +61,7 @@ def replay(wanted: Replay, clock: Clock | None = None) -> int:
             until_s=settings.until_s,
         )
     else:
-        write_film(trajectory, wanted.to, settings, FrameProgress(clock or MonotonicClock()))
+        with output.Progress("frames", clock=clock) as progress:
+            write_film(trajectory, wanted.to, settings, progress.parts)
     output.data(str(wanted.to))
     return 0
-
-
-class FrameProgress:
-    """Prints on stderr how many frames are done."""
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._printed_s = clock.now_s()
-
-    def __call__(self, done: int, of: int) -> None:
-        """Print that `done` of `of` frames are made, unless that was printed just now."""
-        now_s = self._clock.now_s()
-        if now_s - self._printed_s >= PROGRESS_S or done == of:
-            self._printed_s = now_s
-            output.progress(f"{done} of {of} frames")

@@ -67,7 +67,11 @@ def audit(folder: Path, as_json: bool, jobs: int) -> int:
     """
     read = read_folder(folder)
     trials = [each for each in read.trials if each.record.outcome is not None]
-    found = list(_audit_all(trials, jobs))
+    found = []
+    with output.Progress("trials", len(trials), at_once=len(trials) > 1) as progress:
+        for each in _audit_all(trials, jobs):
+            found.append(each)
+            progress.at(len(found))
     counts = {name: sum(each.verdict == name for each in found) for name in get_args(Verdict)}
     if as_json:
         problems = [{"directory": str(each.path), "reason": each.reason} for each in read.problems]

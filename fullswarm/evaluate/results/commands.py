@@ -193,9 +193,10 @@ def export_mlflow(folder: Path, target: str) -> int:
 
 def report(folder: Path, open_it: bool, plots: Path | None) -> int:
     """Write the report and print its name."""
-    from fullswarm.evaluate.results.report import write_plots, write_report
+    from fullswarm.evaluate.results.report import STEPS, write_plots, write_report
 
-    path = write_report(folder)
+    with output.Progress("steps", STEPS, at_once=True) as progress:
+        path = write_report(folder, progress.parts)
     output.data(str(path))
     _print_problems(read_folder(folder))
     if plots is not None:

@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -70,10 +70,14 @@ class Section:
     agreement: Grid | None
 
 
-def write_report(out: Path) -> Path:
+STEPS = 3
+"""Reading all trials, writing the table, drawing."""
+
+
+def write_report(out: Path, tell: Callable[[int, int], None] = lambda _done, _of: None) -> Path:
     """Write ``report.html``, ``results.csv`` and the index into a results folder; return the report.
 
-    The same directories give the same bytes.
+    The same directories give the same bytes. `tell` is called with how many steps of how many are done.
 
     Raises
     ------
@@ -82,9 +86,13 @@ def write_report(out: Path) -> Path:
     MissingExtra
         Jinja2, Matplotlib or SciPy is not installed.
     """
+    tell(0, STEPS)
     folder = rebuild(out)
+    tell(1, STEPS)
     write_table(wide(folder.trials), out / CSV_FILE, "csv")
+    tell(2, STEPS)
     text = render(folder)
+    tell(3, STEPS)
     path = out / REPORT_FILE
     with whole_file(path) as part:
         part.write_text(text, "utf-8")

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 from tomlkit.items import Array, Table
 
 from fullswarm.config import MoverConfig, Point, Section
-from fullswarm.config.toml_errors import parse_section
+from fullswarm.config.toml_errors import parse_section, read_toml
 from fullswarm.errors import ConfigError, did_you_mean
 
 
@@ -36,15 +36,10 @@ def read_named(name_or_path: str | Path, folder: Traversable, kind: str) -> tupl
     if isinstance(name_or_path, str) and not text.endswith(".toml") and "/" not in text:
         raise ConfigError(f"there is no {kind} '{text}'", hint=did_you_mean(text, names))
     try:
-        return Path(name_or_path).read_text("utf-8"), text
-    except OSError as error:
-        raise ConfigError(
-            f"cannot read the {kind}: {error.strerror or error}",
-            where=text,
-            hint=f"or use one by name: {', '.join(names)}",
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"the {kind} is not UTF-8 text", where=text) from error
+        return read_toml(Path(name_or_path), f"{kind} file"), text
+    except ConfigError as error:
+        hint = f"{error.hint}; or use one by name: {', '.join(names)}"
+        raise ConfigError(f"cannot read the {kind}: {error.what}", where=error.where, hint=hint) from None
 
 
 Box = tuple[float, float, float, float, float]
