@@ -81,7 +81,7 @@ def test_a_recording_shows_robots_log_and_charts_of_the_moment(recording: Consol
         for robot, place in places(file, at_s).items():
             assert shown[robot] == pytest.approx(place, abs=0.05)
         log = recording.named("log").inner_text()
-        assert ("flocking for" in log) == (at_s >= 5.0)
+        assert ("Flocking, unfiltered for" in log) == (at_s >= 5.0)
         assert ("stops the whole swarm" in log) == (at_s >= 12.0)
     expect(recording.named("link-state")).to_have_text("recording")
     expect(recording.named("stop")).to_be_disabled()

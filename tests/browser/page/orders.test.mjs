@@ -53,6 +53,30 @@ test("a refusal goes with its cause, and only then", async () => {
   assert.equal(bench.element("refusal").textContent, "");
 });
 
+test("a refusal with a code goes with the cause that the code names, and with the next request", async () => {
+  const bench = await Bench.with("r1", "r2");
+  const words = () => bench.element("refusal").textContent;
+  const refused = { t: "request", request_id: "a", behaviour: "flocking_bc", phase: "refused", reason: "its e-stop is latched", code: "estop_latched",
+    robots: ["r1"], running: [], missing: [], refused_by: ["r1"], operator: "anna", mine: true };
+  fleet(bench, robot("r1"), robot("r2", { silent: true }));
+  bench.hear(refused);
+  fleet(bench, robot("r1", { estop: true }), robot("r2")); // another robot's trouble has gone: that is no cause
+  assert.match(words(), /its e-stop is latched/);
+  fleet(bench, robot("r1"), robot("r2"));
+  assert.equal(words(), "");
+  bench.hear(refused);
+  fleet(bench, robot("r1"), robot("r2")); // its cause has not been reported yet
+  assert.match(words(), /its e-stop is latched/);
+  await bench.clock.pass(4000);
+  fleet(bench, robot("r1"), robot("r2"));
+  assert.equal(words(), "", "it was never seen: it has gone meanwhile");
+  bench.hear(refused);
+  fleet(bench, robot("r1", { estop: true }), robot("r2"));
+  assert.match(words(), /its e-stop is latched/);
+  void bench.commands.request("flocking_bc", ["r2"]);
+  assert.equal(words(), "");
+});
+
 test("it gets neither goal nor formation", async () => {
   const bench = await absent();
   bench.tools.use("goal");

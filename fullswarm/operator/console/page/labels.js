@@ -8,7 +8,7 @@
 
 /** Directions around a robot, the preferred first: x and y of the label's nearest corner or edge, in units of reach. */
 const DIRECTIONS = [[0.71, -0.71], [0.71, 0.71], [1, 0], [-0.71, -0.71], [-0.71, 0.71], [-1, 0], [0, -1], [0, 1]];
-const GAPS_PX = [3, 14, 28, 52, 80];
+const GAPS_PX = [1, 13, 28, 52, 80];
 const NEAR_GAPS = 3; // only labels that matter go farther
 export const LINE_FROM_PX = 20; // a label with a larger gap has a line to its robot
 const FARTHEST_PX = Math.max(...GAPS_PX);

@@ -115,7 +115,7 @@ export class RobotLayer {
     this.labels.length = 0;
     for (const robot of this.placed) {
       const chosen = selection.has(robot.id);
-      this.#bodies(robot, chosen);
+      this.#bodies(robot, chosen && few);
       this.#wanted(scene, robot, chosen, few, robot.id === hovered);
     }
     this.#layout.place(this.labels, this.#discs, this.#discCount, scene.view);
@@ -123,12 +123,12 @@ export class RobotLayer {
   }
 
   /**
-   * Note what labels must not cover: the robot, the signs on it.
+   * Note what labels must not cover: the robot, the signs on it, and its ring if it is one of a few that are selected.
    * @param {Placed} robot
-   * @param {boolean} chosen
+   * @param {boolean} ring
    */
-  #bodies({ px, py, radius_px, info }, chosen) {
-    this.#disc(px, py, radius_px + (info.estop ? STOP_SIGN_PX : chosen ? RING_PX : 1));
+  #bodies({ px, py, radius_px, info }, ring) {
+    this.#disc(px, py, radius_px + (info.estop ? STOP_SIGN_PX : ring ? RING_PX : 1));
     const marked = !info.estop && (info.silent || info.attention);
     if (marked) this.#disc(px - radius_px - 3, py - radius_px - 4, MARK_PX);
   }
@@ -163,7 +163,7 @@ export class RobotLayer {
     const rank = hovered ? RANK.hovered : alarm ? RANK.alarm : chosen ? RANK.selected : RANK.other;
     const ink = info.estop || info.silent ? colours.alarm : colours.ink;
     const words = level === "all" || close ? labelWords(robot, this.#mixed) : robot.id;
-    this.#text(scene, robot, "", words, rank, chosen || hovered ? 15 : 13, ink, chosen || hovered);
+    this.#text(scene, robot, "", words, rank, close ? 15 : 13, ink, close);
     if (!close) return;
     const reason = store.filter.get(robot.id)?.[2];
     if (reason) this.#text(scene, robot, " filter", reason, RANK.words, 13, colours.filter, false);
