@@ -67,7 +67,7 @@
       const frame = JSON.parse(text);
       sent.push({ ...frame, at_ms: performance.now() });
       if (frame.t === "hello") return this.#welcome();
-      return this.say({ t: "answer", ref: frame.ref, ok: true, reason: "", request_id: "" });
+      return setTimeout(() => this.say({ t: "answer", ref: frame.ref, ok: true, reason: "", request_id: "" }), 2);
     }
 
     #welcome() {

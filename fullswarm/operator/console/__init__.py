@@ -40,7 +40,7 @@ of ``index.html`` and a line in ``main.js``:
 ``commands.js``   requests and their answers, leases
 ``stops.js``      stop and e-stop: the panel, its receipts, what is shown and signalled while one is latched
 ``keyboard.js``   all keys
-``drive.js``      driving with arrow keys and a gamepad: which button does what; ``stick.js``: with a finger on the screen
+``drive.js``      driving with arrow keys and a gamepad: which button does what; ``stick.js``: a finger on the screen
 ``selection.js``  the selected robots
 ``fleet.js``      the table of robots; ``attention.js``: the strip above it that names those which need attention
 ``groups.js``     the groups, and making one of the selection

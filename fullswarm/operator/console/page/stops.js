@@ -30,8 +30,8 @@ export class Stops extends Emitter {
     super();
     this.store = store;
     this.commands = commands;
-    atOnce(byId("stop"), () => this.stop());
-    atOnce(byId("estop"), () => this.estop());
+    atOnce(/** @type {HTMLButtonElement} */ (byId("stop")), () => this.stop());
+    atOnce(/** @type {HTMLButtonElement} */ (byId("estop")), () => this.estop());
     byId("stop-close").addEventListener("click", () => this.#closeStop());
     byId("estop-clear").addEventListener("click", () => this.#openClear());
     byId("estop-fold").addEventListener("click", () => this.#fold());
@@ -221,13 +221,13 @@ export class Stops extends Emitter {
 /**
  * Act when a button is pressed, not when it is released: a finger counts too while another one drives, which makes no
  * click. A click without a press is one of the keyboard, or of a screen reader.
- * @param {HTMLElement} button
+ * @param {HTMLButtonElement} button
  * @param {() => void} act
  */
 function atOnce(button, act) {
   let pressed_ms = -Infinity;
   button.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0) return;
+    if (event.button !== 0 || button.disabled) return;
     pressed_ms = performance.now();
     act();
   });
