@@ -75,7 +75,7 @@ class Progress:
     ----------
     what : the parts, in the plural: "trials"
     of : how many there are; None: unknown
-    at_once : print the first line now: nothing is known to call before the first part is done
+    at_once : print a line at the first call already: the next one may come only when a long part is done
     """
 
     FIRST_S, NEXT_S, REDRAW_S = 1.5, 5.0, 0.1
@@ -92,8 +92,6 @@ class Progress:
         self._began_s = self._clock.now_s()
         self._due_s = self._began_s + (0.0 if at_once or self._live else self.FIRST_S)
         self._done, self._note, self._shown, self._drawn = 0, "", "", False
-        if at_once:
-            self.tick()
 
     def __enter__(self) -> Progress:
         return self

@@ -43,6 +43,7 @@ def test_short_work_prints_nothing_in_a_pipe() -> None:
 def test_work_whose_parts_are_long_says_at_once_how_many_there_are() -> None:
     clock, pipe = SimClock(), io.StringIO()
     with Progress("episodes", 2, clock=clock, stream=pipe, at_once=True) as progress:
+        progress.at(0)
         assert pipe.getvalue() == "0 of 2 episodes, 0 s\n"
         clock.advance_to(2.0)
         progress.at(1)
@@ -72,8 +73,8 @@ def test_a_terminal_has_one_line_that_is_written_over(monkeypatch: pytest.Monkey
 def test_a_terminal_without_abilities_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "dumb")
     clock, terminal = SimClock(), Terminal()
-    with Progress("trials", 4, clock=clock, stream=terminal, at_once=True):
-        pass
+    with Progress("trials", 4, clock=clock, stream=terminal, at_once=True) as progress:
+        progress.at(0)
     assert terminal.getvalue() == "0 of 4 trials, 0 s\n"
 
 
