@@ -9,7 +9,7 @@ import select
 import shutil
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, ClassVar, TextIO
 
 import typer
 
@@ -62,6 +62,7 @@ def plain_table(*columns: str, numbers: Sequence[str] = ()) -> Table:
 
 def progress(text: str) -> None:
     """Print what is going on."""
+    Progress.clear()
     typer.echo(text, err=True)
 
 
@@ -75,11 +76,13 @@ class Progress:
     ----------
     what : the parts, in the plural: "trials"
     of : how many there are; None: unknown
-    at_once : print the first line now: nothing is known to call before the first part is done
+    at_once : print a line at the first call already: the next one may come only when a long part is done
     """
 
     FIRST_S, NEXT_S, REDRAW_S = 1.5, 5.0, 0.1
     BAR = 24
+    _drawn: ClassVar[Progress | None] = None
+    """The one whose line stands on the terminal: what is printed between takes its place."""
 
     def __init__(
         self, what: str, of: int | None = None, *, clock: Clock | None = None, stream: TextIO | None = None,
@@ -91,9 +94,7 @@ class Progress:
         self._live = self._stream.isatty() and os.environ.get("TERM") != "dumb"
         self._began_s = self._clock.now_s()
         self._due_s = self._began_s + (0.0 if at_once or self._live else self.FIRST_S)
-        self._done, self._note, self._shown, self._drawn = 0, "", "", False
-        if at_once:
-            self.tick()
+        self._done, self._note, self._shown = 0, "", ""
 
     def __enter__(self) -> Progress:
         return self
@@ -121,19 +122,26 @@ class Progress:
         if self._live:
             self._draw(text, now_s)
         elif text != self._shown or not force:
-            self._write(f"{text}\n")
+            self.write(f"{text}\n")
         self._shown = text
 
     def say(self, text: str) -> None:
         """Print a line of its own between."""
-        self._write("\r\x1b[K" * self._drawn + f"{text}\n")
-        self._drawn = False
+        Progress.clear()
+        self.write(f"{text}\n")
 
     def close(self) -> None:
         """End the live line; what is printed next begins a line of its own."""
-        if self._drawn:
-            self._write("\n")
-            self._drawn = False
+        if Progress._drawn is self:
+            self.write("\n")
+            Progress._drawn = None
+
+    @staticmethod
+    def clear() -> None:
+        """Take the live line off the terminal; it is drawn again at the next call of its :class:`Progress`."""
+        drawn, Progress._drawn = Progress._drawn, None
+        if drawn is not None:
+            drawn.write("\r\x1b[K")
 
     def _text(self, took_s: float) -> str:
         count = f"{self._done} of {self._of} {self._what}" if self._of is not None else f"{self._done} {self._what}"
@@ -146,10 +154,11 @@ class Progress:
         columns = shutil.get_terminal_size().columns
         full = self.BAR * self._done // self._of if self._of else int(now_s * 4) % self.BAR
         bar = "#" * full + "." * (self.BAR - full) if self._of else "." * full + "#" + "." * (self.BAR - full - 1)
-        self._write("\r\x1b[K" + f"[{bar}] {text}"[: columns - 1])
-        self._drawn = True
+        self.write("\r\x1b[K" + f"[{bar}] {text}"[: columns - 1])
+        Progress._drawn = self
 
-    def _write(self, text: str) -> None:
+    def write(self, text: str) -> None:
+        """Write to its stream."""
         with contextlib.suppress(OSError, ValueError):  # who reads it has gone: the work goes on
             self._stream.write(text)
             self._stream.flush()
@@ -165,6 +174,7 @@ def duration(seconds: float) -> str:
 
 def warning(text: str) -> None:
     """Print one line about what is odd, but not wrong."""
+    Progress.clear()
     typer.echo(f"warning: {text}", err=True)
 
 

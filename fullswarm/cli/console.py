@@ -101,7 +101,7 @@ def console(
     shown = None if recording is None else _recorded(recording)
     from fullswarm.drivers.make import makes
     from fullswarm.launch.liveness import report_alive
-    from fullswarm.launch.web_console import open_browser
+    from fullswarm.launch.web_console import api_address, open_browser
     from fullswarm.operator.console.serve import OPEN_S, Options, RedirectPage, serve
     from fullswarm.operator.session import operator_name
 
@@ -123,18 +123,14 @@ def console(
 
         def on_start(address: str, scheduler: Scheduler, leave: Callable[[], None]) -> None:
             if as_json:
-                output.data_json(
-                    {"url": address} | ({"api": _api_address(address)} if options.api else {}), indent=None
-                )
+                output.data_json({"url": address} | ({"api": api_address(address)} if options.api else {}), indent=None)
             else:
                 output.data(address)
                 output.progress("open this address in a browser; Ctrl-C ends")
                 if options.tokens is not None:
                     output.progress("each operator opens the address that `console tokens add` has printed for them")
                 if options.api is not None:
-                    output.progress(
-                        f"programs: {_api_address(address)}, with tokens of `console tokens add NAME --api`"
-                    )
+                    output.progress(f"programs: {api_address(address)}, with tokens of `console tokens add NAME --api`")
             sys.stdout.flush()
             if open_page:
                 page = RedirectPage(address)
@@ -257,10 +253,6 @@ def _tokens_file(*, of_programs: bool = False) -> Path:
     import platformdirs
 
     return platformdirs.user_config_path("fullswarm") / ("api-tokens.json" if of_programs else "console-tokens.json")
-
-
-def _api_address(page: str) -> str:
-    return page.partition("#")[0] + "api/v1/"
 
 
 def leave_with_parent(scheduler: Scheduler, leave: Callable[[], None]) -> None:

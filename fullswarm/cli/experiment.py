@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from fullswarm import output
 from fullswarm.cli import completion
 from fullswarm.cli.options import Json, shell_command
 
@@ -96,7 +95,6 @@ def run_experiment(
     as_json: Json = False,
 ) -> int:
     """Run an experiment. Exit code 0: none failed, and none collided except where the file expects it; 1 otherwise."""
-    output.progress(f"reading the experiment {name}")  # at once: what trials need takes seconds to load
     from fullswarm.evaluate.experiment import run as experiment
 
     options = experiment.Options(

@@ -21,7 +21,7 @@ from fullswarm.launch.processes import usual_audit_folder
 from fullswarm.launch.recorder import add_recorder, check_record
 from fullswarm.launch.stopping import check_fleet
 from fullswarm.launch.supervisor import Supervisor
-from fullswarm.launch.web_console import INSTALL, WebConsole, missing_extra
+from fullswarm.launch.web_console import INSTALL, WebConsole, api_address, missing_extra
 from fullswarm.output import INTERRUPTED, progress
 from fullswarm.runtime import Runtime
 
@@ -103,7 +103,12 @@ def run(
         if console:
             options: tuple[str, ...] = ("--api",) if api else ()
             options += () if record is None else ("--recorded-to", str(record.absolute()))
-            WebConsole(supervisor, runtime, lambda address: progress(f"\nOpen {address}\n"), progress, options)
+
+            def show(address: str) -> None:
+                programs = f"Programs: {api_address(address)}\n" if api else ""
+                progress(f"\nOpen {address}\n{programs}")
+
+            WebConsole(supervisor, runtime, show, progress, options)
         if record is not None:
             add_recorder(supervisor, record)
         supervisor.start()

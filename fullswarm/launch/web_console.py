@@ -28,6 +28,11 @@ def missing_extra() -> str:
     return "" if all(importlib.util.find_spec(each) for each in EXTRA) else "the web console is not installed"
 
 
+def api_address(page: str) -> str:
+    """Return where programs call the console that has a page at this address."""
+    return page.partition("#")[0] + "api/v1/"
+
+
 def graphical() -> bool:
     """Return whether a browser's window can be seen where this process runs."""
     if sys.platform in ("darwin", "win32"):

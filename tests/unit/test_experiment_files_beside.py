@@ -8,6 +8,7 @@ import pytest
 
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import load_experiment
+from fullswarm.evaluate.experiment.run import Options, run
 from fullswarm.evaluate.scenarios.model import load_scenario, scenario_to_toml
 
 FILE = """\
@@ -56,3 +57,15 @@ def test_what_is_nowhere_is_named_with_line_and_places(tmp_path: Path, monkeypat
         f"{file}:9: groups[0].scenarios[{index}]: no file '{name}', looked in {tmp_path / 'lab'} and {tmp_path}"
         for index, name in ((0, "hall.toml"), (2, "yard.toml"))
     ]
+
+
+def test_a_behaviour_that_does_not_exist_is_named_with_its_line(tmp_path: Path) -> None:
+    file = experiment_in(tmp_path / "lab", "concave")
+    text = file.read_text().replace(
+        '[{name = "rendezvous_bc"}]', '[\n{name = "rendezvous_bc"},\n{name = "rendevous_bc"},\n]'
+    )
+    file.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        run(Options(experiment=str(file)))
+    assert str(caught.value).startswith(f"{file}:10: groups[0].behaviours[1]: behaviour 'rendevous_bc'")
+    assert "rendezvous_bc" in str(caught.value)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 
 from fullswarm.clock import SimClock
-from fullswarm.output import Progress, duration
+from fullswarm.output import Progress, duration, progress
 
 
 class Terminal(io.StringIO):
@@ -17,11 +17,11 @@ class Terminal(io.StringIO):
 def test_in_a_pipe_the_first_line_comes_within_two_seconds_and_then_one_each_five() -> None:
     clock, pipe = SimClock(), io.StringIO()
     lines_at: list[float] = []
-    with Progress("trials", 40, clock=clock, stream=pipe) as progress:
+    with Progress("trials", 40, clock=clock, stream=pipe) as shown:
         for tenth in range(1, 201):
             clock.advance_to(0.1 * tenth)
             before = pipe.getvalue()
-            progress.at(tenth // 10, "3 failed") if tenth % 10 == 0 else progress.tick()
+            shown.at(tenth // 10, "3 failed") if tenth % 10 == 0 else shown.tick()
             if pipe.getvalue() != before:
                 lines_at.append(clock.now_s())
     assert lines_at[0] <= 2.0
@@ -33,21 +33,22 @@ def test_in_a_pipe_the_first_line_comes_within_two_seconds_and_then_one_each_fiv
 
 def test_short_work_prints_nothing_in_a_pipe() -> None:
     clock, pipe = SimClock(), io.StringIO()
-    with Progress("frames", clock=clock, stream=pipe) as progress:
+    with Progress("frames", clock=clock, stream=pipe) as shown:
         for done in range(1, 8):
             clock.advance_to(0.1 * done)
-            progress.parts(done, 7)
+            shown.parts(done, 7)
     assert pipe.getvalue() == ""
 
 
 def test_work_whose_parts_are_long_says_at_once_how_many_there_are() -> None:
     clock, pipe = SimClock(), io.StringIO()
-    with Progress("episodes", 2, clock=clock, stream=pipe, at_once=True) as progress:
+    with Progress("episodes", 2, clock=clock, stream=pipe, at_once=True) as shown:
+        shown.at(0)
         assert pipe.getvalue() == "0 of 2 episodes, 0 s\n"
         clock.advance_to(2.0)
-        progress.at(1)
+        shown.at(1)
         clock.advance_to(4.0)
-        progress.at(2)
+        shown.at(2)
     assert pipe.getvalue().splitlines() == ["0 of 2 episodes, 0 s", "2 of 2 episodes, about 0 s left"]
 
 
@@ -55,13 +56,13 @@ def test_a_terminal_has_one_line_that_is_written_over(monkeypatch: pytest.Monkey
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "60")
     clock, terminal = SimClock(), Terminal()
-    with Progress("trials", 4, clock=clock, stream=terminal) as progress:
+    with Progress("trials", 4, clock=clock, stream=terminal) as shown:
         for done in range(1, 4):
             clock.advance_to(float(done))
-            progress.at(done)
-        progress.say("failed: one of them")
+            shown.at(done)
+        shown.say("failed: one of them")
         clock.advance_to(4.0)
-        progress.at(4)
+        shown.at(4)
     text = terminal.getvalue()
     assert text.count("\n") == 2, "the message between, and the end"
     last = text.rsplit("\r\x1b[K", 1)[1]
@@ -69,11 +70,24 @@ def test_a_terminal_has_one_line_that_is_written_over(monkeypatch: pytest.Monkey
     assert all(len(part.split("\n")[0]) < 60 for part in text.split("\r\x1b[K"))
 
 
+def test_what_else_is_printed_takes_the_place_of_the_live_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    clock, terminal = SimClock(), Terminal()
+    with Progress("trials", 4, clock=clock, stream=terminal, at_once=True) as shown:
+        shown.at(0)
+        progress("is it safe?")
+        assert terminal.getvalue().endswith("\r\x1b[K")
+    assert capsys.readouterr().err == "is it safe?\n"
+    assert "\n" not in terminal.getvalue(), "no line stands there any more that would have to be ended"
+
+
 def test_a_terminal_without_abilities_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "dumb")
     clock, terminal = SimClock(), Terminal()
-    with Progress("trials", 4, clock=clock, stream=terminal, at_once=True):
-        pass
+    with Progress("trials", 4, clock=clock, stream=terminal, at_once=True) as shown:
+        shown.at(0)
     assert terminal.getvalue() == "0 of 4 trials, 0 s\n"
 
 
@@ -82,8 +96,8 @@ def test_a_reader_that_has_gone_does_not_end_the_work() -> None:
         def write(self, _: str) -> int:
             raise BrokenPipeError
 
-    with Progress("trials", 4, clock=SimClock(), stream=Gone(), at_once=True) as progress:
-        progress.at(4)
+    with Progress("trials", 4, clock=SimClock(), stream=Gone(), at_once=True) as shown:
+        shown.at(4)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from fullswarm import output
 from fullswarm.clock import MonotonicClock
+from fullswarm.config.toml_errors import dotted, line_numbers, parse_toml, read_toml
 from fullswarm.core.behaviours import Library
 from fullswarm.core.groups import Groups
 from fullswarm.core.roles import check_names
@@ -249,6 +250,7 @@ def _run_all(trials: list[Trial], experiment: Experiment, options: Options, run_
         output.Progress("trials", len(trials), at_once=True) as progress,
         _runner(min(options.jobs, len(trials)), experiment, options, run_one, progress.tick) as run_trials,
     ):
+        progress.at(0)
         for done, (trial, result) in enumerate(run_trials(trials), 1):
             if result.lost and options.folder is not None:
                 result = _keep_lost(options.folder, experiment.name, "dask" if options.dask else "pool", trial, result)
@@ -356,9 +358,23 @@ def check_behaviours(trials: Iterable[Trial], where: str) -> None:
     arena = cache(Scenario.model_validate_json)
     for trial in sorted(trials, key=lambda trial: trial.cell.robots):  # few robots fit more easily
         first.setdefault((trial.cell.label, arena(trial.arena, strict=True).goal.antipodal), trial)
-    reasons = dict.fromkeys(reason for reason in map(_refusal, first.values()) if reason)
-    if reasons:
-        raise ConfigError("\n".join(f"{where}: {reason}" for reason in reasons))
+    found = {reason: trial.cell.behaviour for trial in first.values() if (reason := _refusal(trial))}
+    if found:
+        places = _places(where)
+        raise ConfigError("\n".join(f"{places.get(name, where)}: {reason}" for reason, name in found.items()))
+
+
+def _places(where: str) -> dict[str, str]:
+    """Return file, line and key of each behaviour in an experiment's file, by its name; none for one by name."""
+    if not where.endswith(".toml"):
+        return {}
+    text = read_toml(Path(where), "experiment file")
+    lines, places = line_numbers(text), dict[str, str]()
+    for number, group in enumerate(parse_toml(text, where)["groups"]):
+        for index, behaviour in enumerate(group["behaviours"]):
+            path = ("groups", number, "behaviours", index)
+            places.setdefault(str(behaviour["name"]), f"{where}:{lines[path]}: {dotted(path)}")
+    return places
 
 
 def _refusal(trial: Trial) -> str:

@@ -69,6 +69,7 @@ def audit(folder: Path, as_json: bool, jobs: int) -> int:
     trials = [each for each in read.trials if each.record.outcome is not None]
     found = []
     with output.Progress("trials", len(trials), at_once=len(trials) > 1) as progress:
+        progress.at(0)
         for each in _audit_all(trials, jobs):
             found.append(each)
             progress.at(len(found))

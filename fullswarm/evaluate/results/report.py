@@ -86,7 +86,6 @@ def write_report(out: Path, tell: Callable[[int, int], None] = lambda _done, _of
     MissingExtra
         Jinja2, Matplotlib or SciPy is not installed.
     """
-    tell(0, STEPS)
     folder = rebuild(out)
     tell(1, STEPS)
     write_table(wide(folder.trials), out / CSV_FILE, "csv")
