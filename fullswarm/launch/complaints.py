@@ -82,7 +82,7 @@ class Complaints:
             self._complain(robot, fault)
 
     def _complain(self, name: str, what: str) -> None:
-        text = f"{name}: {what[:LONGEST]}"
+        text = f"{name}: {''.join(each for each in what[:LONGEST] if each.isprintable())}"
         seen = self._seen.get(text)
         if seen is not None:
             seen.count += 1
