@@ -176,6 +176,11 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
+def one_line(text: str) -> str:
+    """Return a text from the network or a log for a terminal: in one line, without control characters."""
+    return "".join(each if each.isprintable() else " " for each in text)
+
+
 def warning(text: str) -> None:
     """Print one line about what is odd, but not wrong."""
     Progress.clear()
