@@ -95,6 +95,7 @@ class Progress:
         self._began_s = self._clock.now_s()
         self._due_s = self._began_s + (0.0 if at_once or self._live else self.FIRST_S)
         self._done, self._note, self._shown = 0, "", ""
+        self._left_s: float | None = None
 
     def __enter__(self) -> Progress:
         return self
@@ -102,15 +103,15 @@ class Progress:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def at(self, done: int, note: str = "") -> None:
-        """Take that `done` parts are done; `note` follows the count."""
-        self._done, self._note = done, note
+    def at(self, done: int, note: str = "", left_s: float | None = None) -> None:
+        """Take that `done` parts are done; `note` follows the count; without `left_s` what is left is estimated."""
+        self._done, self._note, self._left_s = done, note, left_s
         self.tick(force=done == self._of and bool(self._shown))
 
-    def parts(self, done: int, of: int, note: str = "") -> None:
+    def parts(self, done: int, of: int, note: str = "", left_s: float | None = None) -> None:
         """Take that `done` of `of` parts are done."""
         self._of = of
-        self.at(done, note)
+        self.at(done, note, left_s)
 
     def tick(self, *, force: bool = False) -> None:
         """Show the state if it is time to, also when nothing has changed."""
@@ -146,9 +147,12 @@ class Progress:
     def _text(self, took_s: float) -> str:
         count = f"{self._done} of {self._of} {self._what}" if self._of is not None else f"{self._done} {self._what}"
         note = f", {self._note}" if self._note else ""
-        if not self._of or not self._done:
-            return f"{count}{note}, {duration(took_s)}"
-        return f"{count}{note}, about {duration(took_s / self._done * (self._of - self._done))} left"
+        left_s = self._left_s
+        if left_s is None and self._of and self._done:
+            left_s = took_s / self._done * (self._of - self._done)
+        return (
+            f"{count}{note}, {duration(took_s)}" if left_s is None else f"{count}{note}, about {duration(left_s)} left"
+        )
 
     def _draw(self, text: str, now_s: float) -> None:
         columns = shutil.get_terminal_size().columns
@@ -170,6 +174,11 @@ def duration(seconds: float) -> str:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def one_line(text: str) -> str:
+    """Return a text from the network or a log for a terminal: in one line, without control characters."""
+    return "".join(each if each.isprintable() else " " for each in text)
 
 
 def warning(text: str) -> None:

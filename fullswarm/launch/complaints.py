@@ -15,6 +15,7 @@ from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
 from fullswarm.launch.supervisor import Child
 from fullswarm.messages import HealthReport
+from fullswarm.output import one_line
 from fullswarm.runtime import Scheduler
 
 AGAIN_S = 10.0
@@ -82,7 +83,7 @@ class Complaints:
             self._complain(robot, fault)
 
     def _complain(self, name: str, what: str) -> None:
-        text = f"{name}: {''.join(each for each in what[:LONGEST] if each.isprintable())}"
+        text = one_line(f"{name}: {what[:LONGEST]}")
         seen = self._seen.get(text)
         if seen is not None:
             seen.count += 1

@@ -8,6 +8,7 @@ from datetime import datetime
 from fullswarm.clock import wall_time_s
 from fullswarm.operator.robot_state import row_state
 from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot
+from fullswarm.output import one_line
 
 LEAST_S = 1.0
 """Between two lines about the same robot."""
@@ -40,7 +41,7 @@ class StateLines:
             before, said_s = self._shown.get(name, ("", now_s - LEAST_S))
             if state != before and now_s - said_s >= LEAST_S:
                 self._shown[name] = state, now_s
-                self._say(f"{at} {name}: {line}")
+                self._say(one_line(f"{at} {name}: {line}"))
         for name in self._shown.keys() - texts.keys():
             del self._shown[name]
 

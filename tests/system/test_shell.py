@@ -83,14 +83,14 @@ def test_up_says_that_a_port_is_not_there_and_watch_writes_lines_into_a_pipe(tmp
     )
     up = Lines("up", "lab.toml", cwd=tmp_path)
     try:
-        until(lambda: "c1: /dev/ttyUSB77: there is no such port" in up.text(), 40.0, up.text)
+        until(lambda: "c1: /dev/ttyUSB77: there is no such port" in up.text(), 90.0, up.text)
         (line,) = [line for _, line in up.lines if line.startswith("c1: ")]
         log = Path(line.rpartition("(log: ")[2].rstrip(")"))
         assert log.name == "c1.log"
         assert "there is no such port" in log.read_text()
         watch = Lines("watch", "--hub", hub, "--swarm", "absent", cwd=tmp_path)
         try:
-            until(lambda: " c1: " in watch.text() and " n1: " in watch.text(), 30.0, watch.text)
+            until(lambda: " c1: " in watch.text() and " n1: " in watch.text(), 60.0, watch.text)
             assert "\x1b" not in watch.text()
         finally:
             watch.end()

@@ -81,12 +81,13 @@ def test_a_fault_of_a_moment_while_the_swarm_starts_is_not_printed(bench: Bench)
 
 def test_hostile_reports_do_not_grow_what_is_remembered(bench: Bench) -> None:
     for number in range(10 * MOST):
-        bench.health(f"r{number}", "x" * 1000)
+        bench.health(f"r{number}", "\x1b[2J\n" + "x" * 1000)
         bench.die(f"p{number}")
     bench.run(1.0)
     assert len(bench.complaints._seen) <= MOST
     assert len(bench.complaints._faults) <= MOST
     assert max(map(len, bench.lines)) < 500
+    assert all(line.isprintable() for line in bench.lines), "no control of the terminal"
 
 
 def test_the_last_line_of_a_log_that_is_missing_or_binary(tmp_path: Path) -> None:

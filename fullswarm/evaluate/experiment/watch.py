@@ -81,13 +81,32 @@ def _print(progress: Progress, now_s: float, *, as_json: bool) -> None:
 
 def _live(folder: ExperimentFolder, runtime: Runtime, wall_s: Callable[[], float]) -> None:
     console = Console(highlight=False)
+    if not console.is_terminal:
+        _told(folder, runtime, wall_s)
+        return
     # rich's own refreshing would need a thread; the runtime's timer does.
-    with Live(console=console, auto_refresh=False, screen=console.is_terminal, transient=True) as live:
+    with Live(console=console, auto_refresh=False, screen=True, transient=True) as live:
 
         def refresh() -> None:
             folder.refresh()
             progress = progress_of(folder, wall_s())
-            live.update(view(progress, wall_s(), console.size.height), refresh=console.is_terminal)
+            live.update(view(progress, wall_s(), console.size.height), refresh=True)
+            if progress.over:
+                runtime.stop()
+
+        runtime.every(REFRESH_S, refresh, first_s=0.0)
+        runtime.run()
+
+
+def _told(folder: ExperimentFolder, runtime: Runtime, wall_s: Callable[[], float]) -> None:
+    """Print a line on stderr now and each few seconds, for a pipe."""
+    with output.Progress("trials", clock=runtime, at_once=True) as shown:
+
+        def refresh() -> None:
+            folder.refresh()
+            progress = progress_of(folder, wall_s())
+            note = f"{progress.collisions} collisions, {progress.failed} failed"
+            shown.parts(progress.finished, progress.total or 0, note, progress.left_s)
             if progress.over:
                 runtime.stop()
 
