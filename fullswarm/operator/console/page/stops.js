@@ -36,6 +36,7 @@ export class Stops extends Emitter {
     byId("estop-clear").addEventListener("click", () => this.#openClear());
     byId("estop-fold").addEventListener("click", () => this.#fold());
     this.#holdToClear(byId("estop-clear-hold"));
+    this.#unfold(!narrow());
     store.on("stop", (message) => this.#showStop(message));
     store.on("estop", (order) => this.#onEstop(order));
     store.on("fleet", () => this.#showEstop());
