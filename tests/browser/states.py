@@ -91,13 +91,18 @@ def latch(console: Console) -> None:
     expect(console.page.locator("#estop-title")).to_contain_text("confirmed standing")
 
 
-def release(console: Console) -> None:
+def clear(console: Console) -> None:
+    """Clear the e-stop as another operator does."""
     console.page.evaluate("""() => {
       Object.assign(fake.swarm, { estop: [] });
       fake.say({ t: "estop", id: "e2", engaged: false, done: true, receipts: [], waiting: [], silent: [] });
       fake.tick();
-      fake.skip(6000);
     }""")
+
+
+def release(console: Console) -> None:
+    clear(console)
+    console.page.evaluate("fake.skip(6000)")
     expect(console.page.locator("#estop-panel")).to_be_hidden()
 
 

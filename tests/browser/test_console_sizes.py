@@ -13,7 +13,7 @@ from tests.browser.axe import NPM, violations
 from tests.browser.conftest import Snap
 from tests.browser.console import Console
 from tests.browser.played import change, play
-from tests.browser.states import SIZES, STATES, complaints, latch, release, show
+from tests.browser.states import SIZES, STATES, clear, complaints, latch, release, show
 
 Play = Callable[[int, bool], Console]
 FINGERS = [size for size in SIZES if size not in ((1440, 900), (720, 450))]
@@ -188,6 +188,12 @@ def test_an_e_stop_leaves_the_map_where_it_is(played: Play, size: tuple[int, int
     assert console.page.locator("#map").bounding_box() == before
     console.named("estop-clear").click()
     assert console.page.locator("#map").bounding_box() == before
+    console.page.wait_for_timeout(600)  # what the click moves does not count
+    console.page.evaluate("window.shifts.splice(0)")
+    clear(console)
+    expect(console.named("estop-clear-hold")).to_be_hidden()
+    console.page.wait_for_timeout(200)
+    console.faultless()
     release(console)
 
 

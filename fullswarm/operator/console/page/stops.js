@@ -36,6 +36,7 @@ export class Stops extends Emitter {
     byId("estop-clear").addEventListener("click", () => this.#openClear());
     byId("estop-fold").addEventListener("click", () => this.#fold());
     this.#holdToClear(byId("estop-clear-hold"));
+    this.#unfold(!narrow());
     store.on("stop", (message) => this.#showStop(message));
     store.on("estop", (order) => this.#onEstop(order));
     store.on("fleet", () => this.#showEstop());
@@ -119,7 +120,7 @@ export class Stops extends Emitter {
     const unconfirmed = Boolean(order?.engaged && order.waiting.length > 0);
     const up = latched.length > 0 || unconfirmed || performance.now() < this.#upUntil_ms;
     this.#showPanel(up);
-    if (!up || latched.length === 0) this.#closeClear();
+    if (!up || latched.length === 0) this.#closeClear(up);
     if (performance.now() >= this.#upUntil_ms) this.#failed = "";
     if (!up) return;
     setText(byId("estop-title"), this.#failed || title(order, latched));
@@ -180,10 +181,14 @@ export class Stops extends Emitter {
     byId("estop-clear-hold").focus({ preventScroll: true });
   }
 
-  #closeClear() {
+  /**
+   * When others clear the e-stop, the panel keeps its size as long as it is shown: it must not move under a pointer.
+   * @param {boolean} [keep]
+   */
+  #closeClear(keep = false) {
     byId("estop-clear-act").hidden = true;
     setFlag(byId("estop-clear"), "aria-expanded", false);
-    this.#mark();
+    if (!keep) this.#mark();
   }
 
   /** Tell the style sheet whether there is more than one line. */
