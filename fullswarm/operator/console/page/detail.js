@@ -216,7 +216,7 @@ function options(holder, which, lines, from_s) {
     series: [{}, ...lines.map((line) => ({ ...line, width: 2, points: { show: false } }))],
     axes: [
       { ...axis, size: 24, space: 60, values: (_plot, ticks) => ticks.map((tick) => (tick === 0 ? "now" : `${tick} ${minutes ? "min" : "s"}`)) },
-      { ...axis, size: 44, space: 24, values: (_plot, ticks) => ticks.map((tick) => (minutes ? `${tick} %` : String(Number(tick.toPrecision(2))))) },
+      { ...axis, size: 44, space: 18, values: (_plot, ticks) => ticks.map((tick) => (minutes ? `${tick} %` : String(Number(tick.toPrecision(2))))) },
     ],
   };
 }
