@@ -35,6 +35,11 @@ def test_axe_finds_nothing(calm: Console, observer: Observer, scheme: Scheme, sn
         calm.named("form-back").click()
         assert violations(page) == []
         snap(page, scheme)
+        calm.named("details-r1").click()
+        expect(calm.named("detail-facts")).to_contain_text("Flocking")
+        assert violations(page) == []
+        snap(page, f"detail-{scheme}")
+        calm.named("detail-close").click()
         calm.press("?")
         assert violations(page) == []
         calm.press("Escape")

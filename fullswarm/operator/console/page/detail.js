@@ -18,10 +18,10 @@ const COLOURS = { speed: ["#0072B2", "#56B4E9"], command: ["#B3470A", "#FF9A5C"]
 
 export class DetailPane {
   /**
-   * @param {{store: import("./store.js").Store, link: import("./link.js").Link, theme: import("./theme.js").Theme}} parts
-   *   store: of the present
+   * @param {{store: import("./store.js").Store, present: import("./store.js").Store, link: import("./link.js").Link,
+   *   theme: import("./theme.js").Theme}} parts
    */
-  constructor({ store, link, theme }) {
+  constructor({ store, present, link, theme }) {
     this.store = store;
     this.link = link;
     this.theme = theme;
@@ -30,7 +30,7 @@ export class DetailPane {
     byId("detail-close").addEventListener("click", () => this.close());
     byId("detail-previous").addEventListener("click", () => this.#step(-1));
     byId("detail-next").addEventListener("click", () => this.#step(1));
-    store.on("detail", (detail) => this.#take(detail));
+    present.on("detail", (detail) => this.#take(detail));
     for (const topic of /** @type {const} */ (["fleet", "leases", "filter", "world"])) store.on(topic, () => this.#fill());
     link.on("open", () => this.#ask());
     theme.on("change", () => this.#charts());
@@ -41,6 +41,7 @@ export class DetailPane {
 
   #detail = /** @type {Detail | null} */ (null);
   #plots = /** @type {{plot: uPlot, holder: HTMLElement}[]} */ ([]);
+  #drawnStill = false; // whether the charts are those of the past: empty
   #opener = /** @type {HTMLElement | null} */ (null);
 
   /** Whether the focus is in it. */
@@ -83,6 +84,11 @@ export class DetailPane {
     this.#ask();
   }
 
+  /** What the console sends of the robot is of now: while the past is shown, the pane has what the table has. */
+  get #known() {
+    return this.store.still ? null : this.#detail;
+  }
+
   #ask() {
     this.link.post({ t: "inspect", robot: this.robot });
   }
@@ -110,10 +116,11 @@ export class DetailPane {
   #fill() {
     if (!this.robot) return;
     const { store, robot: id } = this;
+    if (this.#drawnStill !== store.still) this.#draw();
     const known = store.fleet.has(id);
     const robot = store.info(id);
     const words = sections({
-      robot, detail: this.#detail, lease: store.leases.get(id), behaviours: store.behaviours, filter: store.filter.get(id),
+      robot, detail: this.#known, lease: store.leases.get(id), behaviours: store.behaviours, filter: store.filter.get(id),
     });
     byId("detail-unknown").hidden = known;
     byId("detail-body").hidden = !known;
@@ -121,7 +128,7 @@ export class DetailPane {
     byId("detail-state").classList.toggle("attention", needsAttention(robot));
     renew(byId("detail-state"), JSON.stringify(first), () => [section(first)]);
     renew(byId("detail-facts"), JSON.stringify(others), () => others.map(section));
-    const { messages = [], requests = [] } = this.#detail ?? {};
+    const { messages = [], requests = [] } = this.#known ?? {};
     renew(byId("detail-requests"), JSON.stringify(requests), () => requests.map((each) => {
       const outcome = `${each.outcome}${each.reason ? `: ${each.reason}` : ""}`;
       const text = `${titleOf(store.behaviours, each.behaviour)} of ${each.operator}: ${outcome}`;
@@ -147,9 +154,10 @@ export class DetailPane {
   }
 
   #draw() {
-    const { motion = [], battery = [], turn_rad_s = null, command_rad_s = null } = this.#detail ?? {};
+    const { motion = [], battery = [], turn_rad_s = null, command_rad_s = null } = this.#known ?? {};
     const [speeds, charges] = this.#plots;
     if (!speeds) return;
+    this.#drawnStill = this.store.still;
     speeds.plot.setData([motion.map((row) => row[0]), motion.map((row) => row[2]), motion.map((row) => row[1])]);
     charges.plot.setData([battery.map((row) => row[0] / 60), battery.map((row) => 100 * row[1])]);
     byId("detail-battery-figure").hidden = battery.length === 0;
@@ -208,7 +216,7 @@ function options(holder, which, lines, from_s) {
     series: [{}, ...lines.map((line) => ({ ...line, width: 2, points: { show: false } }))],
     axes: [
       { ...axis, size: 24, space: 60, values: (_plot, ticks) => ticks.map((tick) => (tick === 0 ? "now" : `${tick} ${minutes ? "min" : "s"}`)) },
-      { ...axis, size: 44, space: 24, values: (_plot, ticks) => ticks.map((tick) => (minutes ? `${tick} %` : String(Number(tick.toPrecision(2))))) },
+      { ...axis, size: 44, space: 18, values: (_plot, ticks) => ticks.map((tick) => (minutes ? `${tick} %` : String(Number(tick.toPrecision(2))))) },
     ],
   };
 }

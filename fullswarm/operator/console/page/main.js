@@ -78,7 +78,7 @@ const pad = new Pad(driver, selection, () => stops.estop());
 new Pointer(map, tools);
 new Panel({ store: present, selection, commands, tools });
 new GroupBar(store, selection, commands);
-const detail = new DetailPane({ store: present, link, theme });
+const detail = new DetailPane({ store, present, link, theme });
 const openDetail = (/** @type {string} */ id) => {
   document.querySelector('#tabs [data-tab="fleet"]')?.dispatchEvent(new MouseEvent("click"));
   detail.open(id);

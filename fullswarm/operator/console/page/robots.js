@@ -17,6 +17,7 @@ const LEAST_LAMP_PX = 3.5;
 const ARROW_PX_PER_M_S = 90;
 const FEW = 3; // so many selected robots have their reasons beside them; of more only the one that is pointed at
 const MOST_LABELS = 200;
+const MANY = 8; // of more alarms than these none goes far from its robot, and each is its robot's name alone
 const MARK_PX = 11;
 const RING_PX = 8;
 const STOP_SIGN_PX = 6;
@@ -47,6 +48,7 @@ export class RobotLayer {
   #discs = /** @type {import("./labels.js").Disc[]} */ ([]);
   #discCount = 0;
   #spare = /** @type {Text[]} */ ([]);
+  #many = false; // alarms
 
   /**
    * Place every robot for this frame.
@@ -113,6 +115,9 @@ export class RobotLayer {
     this.#discCount = 0;
     this.#spare.push(...this.labels);
     this.labels.length = 0;
+    let alarms = 0;
+    for (const { info } of this.placed) if (isAlarm(info)) alarms += 1;
+    this.#many = alarms > MANY;
     for (const robot of this.placed) {
       const chosen = selection.has(robot.id);
       this.#bodies(robot, chosen && few);
@@ -157,12 +162,12 @@ export class RobotLayer {
     const { view, store, colours } = scene;
     if (this.labels.length >= MOST_LABELS || robot.px < -50 || robot.py < -50 || robot.px > view.width + 50 || robot.py > view.height + 50) return;
     const level = levelOfDetail(robot.radius * view.scale);
-    const alarm = Boolean(info.silent || info.estop || info.attention);
+    const alarm = isAlarm(info);
     const close = hovered || (chosen && few);
     if (level === "alarms" && !alarm && !close) return;
     const rank = hovered ? RANK.hovered : alarm ? RANK.alarm : chosen ? RANK.selected : RANK.other;
     const ink = info.estop || info.silent ? colours.alarm : colours.ink;
-    const words = level === "all" || close ? labelWords(robot, this.#mixed) : robot.id;
+    const words = (level === "all" && !(alarm && this.#many)) || close ? labelWords(robot, this.#mixed) : robot.id;
     this.#text(scene, robot, "", words, rank, close ? 15 : 13, ink, close);
     if (!close) return;
     const reason = store.filter.get(robot.id)?.[2];
@@ -187,10 +192,15 @@ export class RobotLayer {
     const reach = robot.radius_px + (robot.info.estop ? STOP_SIGN_PX : bold ? RING_PX : 1);
     Object.assign(text, {
       key: robot.id + part, rank, x: robot.px, y: robot.py, reach, width: sprite.width / dpr, height: sprite.height / dpr,
-      left: 0, top: 0, gap: 0, far: rank <= RANK.alarm, shown: false, words, size, ink, bold,
+      left: 0, top: 0, gap: 0, far: rank === RANK.hovered || (rank === RANK.alarm && !this.#many), shown: false, words, size, ink, bold,
     });
     this.labels.push(text);
   }
+}
+
+/** @param {Partial<Robot>} robot */
+function isAlarm({ silent, estop, attention }) {
+  return Boolean(silent || estop || attention);
 }
 
 /**
