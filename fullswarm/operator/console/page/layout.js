@@ -5,7 +5,7 @@ import { byId, setFlag, setText } from "./dom.js";
 const KEPT_AS = "hand";
 
 /** The same conditions as in the style sheets. */
-const SMALL = "(width < 600px), (height < 640px)";
+const SHORT = "(width < 1000px), (height < 640px)"; // the timeline
 const NARROW = "(width < 900px), (height < 640px)";
 
 /** Whether a screen is so narrow or low that the receipts of an e-stop take the place of a panel. */
@@ -94,7 +94,7 @@ export class Layout {
 
   /** Where the timeline is short, its steps and speed are with the bookmarks. */
   #steps() {
-    const query = matchMedia(SMALL);
+    const query = matchMedia(SHORT);
     const steps = /** @type {HTMLElement} */ (document.querySelector(".time-steps"));
     const place = () => (query.matches ? byId("mark-form").before(steps) : byId("time-play").after(steps));
     query.addEventListener("change", place);
