@@ -152,7 +152,8 @@ def test_what_the_core_would_refuse_is_refused_before_any_trial(here: Path, beha
     with pytest.raises(ConfigError) as caught:
         run(Options("mine.toml", jobs=1, folder=here / "out"), answer)
     assert words in str(caught.value)
-    assert str(caught.value).startswith("mine.toml: ")
+    line = 1 + Path("mine.toml").read_text().partition(behaviour)[0].count("\n")
+    assert str(caught.value).startswith(f"mine.toml:{line}: groups[0].behaviours[0]: ")
     assert len(str(caught.value).splitlines()) == 1
     assert not (here / "out").exists()
 

@@ -187,7 +187,7 @@ def test_fleet_reads_and_commands_as_arrays(world: World) -> None:
         fleet.command(np.array([[0.1, 0.0], [math.inf, 0.0]]), both)
     assert world.target.tolist() == [[0.1, 0.0], [0.0, 0.0]]
     assert fleet.urls == ("sim://a", "sim://b")
-    assert (fleet.descriptions[0].make, fleet.descriptions[0].model) == ("sim", "kinematic")
+    assert (fleet.descriptions[0].make, fleet.descriptions[0].model) == ("sim", "kinematic disc")
     assert fleet.firmware(0).startswith("kinematic ")
     fleet.close()
     assert fleet.lifecycle(0) is Lifecycle.CLOSED

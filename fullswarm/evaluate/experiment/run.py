@@ -366,7 +366,7 @@ def check_behaviours(trials: Iterable[Trial], where: str) -> None:
 
 def _places(where: str) -> dict[str, str]:
     """Return file, line and key of each behaviour in an experiment's file, by its name; none for one by name."""
-    if not where.endswith(".toml"):
+    if not where.endswith(".toml") or not Path(where).is_file():  # it may have been read from elsewhere
         return {}
     text = read_toml(Path(where), "experiment file")
     lines, places = line_numbers(text), dict[str, str]()
