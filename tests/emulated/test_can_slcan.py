@@ -54,8 +54,13 @@ def test_a_drive_through_the_port(robot: Robot) -> None:
     robot.drive(Twist(0.3, 1.0), lambda: abs(robot.reading().odometry.heading_rad) > 0.3)
     robot.driver.deactivate()
     until(lambda: robot.standing() and robot.reading().twist.linear_m_s == 0.0, 1.5)
-    true, told = robot.emulated.body.state(), robot.reading().odometry
-    assert (told.x_m, told.y_m, told.heading_rad) == pytest.approx((true.x_m, true.y_m, true.heading_rad), abs=0.01)
+
+    def agrees() -> bool:
+        true, told = robot.emulated.body.state(), robot.reading().odometry
+        where = pytest.approx((true.x_m, true.y_m, true.heading_rad), abs=0.01)
+        return bool((told.x_m, told.y_m, told.heading_rad) == where)
+
+    until(agrees, 3.0)  # the newest reading may be one of before the standstill
     assert robot.driver.malformed == 0
 
 
