@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
 
+from fullswarm.operator.robot_state import row_state
 from tests.browser.console import Console
 from tests.browser.swarm import Demo, Observer
 
@@ -89,6 +90,12 @@ def calm(console: Console, observer: Observer) -> Console:
     observer.operator.stop()
     observer.rest(0.5)
     observer.until(observer.is_calm, 20.0, "all eight stand, free")
+    if any(row_state(row).attention for row in observer.rows()):
+        # What stopped them on a busy machine is shown until they are asked for something.
+        observer.operator.request("flocking_bc", ())
+        observer.until(lambda: observer.all_run("flocking_bc"), 20.0, "all run")
+        observer.operator.stop()
+        observer.until(observer.is_calm, 20.0, "all eight stand again")
     console.press("Escape")
     console.give_back()
     console.clear_the_map()

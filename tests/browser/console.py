@@ -57,7 +57,7 @@ class Console:
         """Complain of errors in the browser's console and of parts of the page that moved by themselves, since last."""
         errors, self.errors = self.errors, []
         shifts = self.page.evaluate("window.shifts.splice(0)")
-        assert errors == []
+        assert not errors, "\n".join(errors)
         assert layout_shift(shifts) < CLS, shifts
 
     def forgive(self, words: str) -> None:

@@ -54,7 +54,7 @@ def test_a_reload_in_mid_run_loses_nothing(calm: Console, observer: Observer) ->
     after = calm.state
     assert after["operator"] == before["operator"]
     assert calm.page.locator("#operator").inner_text() == operator
-    assert calm.named("log").inner_text().startswith(log)
+    assert log[-1500:] in calm.named("log").inner_text(), "its newest lines: the console keeps fewer than a page"
     assert after["charts"] >= before["charts"] > 0
     assert all(after["trails"][robot] >= 0.8 * length for robot, length in before["trails"].items()), "thinned at most"
     assert after["goals"].keys() >= before["goals"].keys()
@@ -76,4 +76,5 @@ def test_a_console_that_dies_is_started_again_and_the_page_finds_it(calm: Consol
         demo.hold_restarts(False)
     expect(calm.named("link-state")).to_have_text("live", timeout=1000 * START_S)
     assert calm.state["operator"] == operator, "the same operator, in another process of the console"
-    calm.forgive("WebSocket connection")  # the browser itself complains of a server that is not there
+    for words in ("WebSocket connection", "icon.svg"):  # the browser itself complains of a server that is not there
+        calm.forgive(words)

@@ -70,6 +70,9 @@ class Hand:
 
 @pytest.fixture
 def hand(calm: Console) -> Hand:
+    """Acts on a page as it is when it is opened: no form is."""
+    if calm.named("behaviour-form").is_visible():
+        calm.named("form-back").click()
     return Hand(calm)
 
 
