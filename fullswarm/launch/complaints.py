@@ -1,6 +1,6 @@
 """Tells the person at the terminal of `up` what goes wrong: processes that end, drivers that fail.
 
-Each log has it too, but nobody reads sixteen logs to learn that a cable is not plugged in. What repeats is printed
+Each log has it too, but there may be sixteen of them. What repeats is printed
 once, and later how often it came again.
 """
 

@@ -121,7 +121,7 @@ def rehearse(options: Options, progress: Progress | None = None, clock: Clock | 
 
     Parameters
     ----------
-    progress : shows how many episodes are done; None: nobody looks
+    progress : shows how many episodes are done; None: it is not shown
 
     Raises
     ------

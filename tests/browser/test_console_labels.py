@@ -105,8 +105,6 @@ def test_no_label_covers_a_robot_or_another_label(crowd: Crowd, browser: Browser
         shown = free_of_overlaps(console)
         assert shown >= least[step], f"{shown} labels at step {step}"
         snap(page, f"labels-32-{step}")
-    fps = page.evaluate("window.fullswarm.stats.frame_ms_p95")
-    print(f"work per frame with {COUNT} robots: {fps} ms (95th percentile)")  # noqa: T201
     context.close()
 
 

@@ -20,7 +20,7 @@ export class Signals {
    * @param {import("./banners.js").Banners} banners
    */
   constructor(store, banners) {
-    this.on = localStorage.getItem(KEPT_AS) !== "off"; // an alarm that is off by default alarms nobody
+    this.on = localStorage.getItem(KEPT_AS) !== "off"; // on by default, as a safety signal
     this.#still = matchMedia("(prefers-reduced-motion: reduce)");
     byId("signals").addEventListener("click", () => this.#toggle());
     store.on("fleet", ({ robots }) => this.#latched(robots.filter(({ estop }) => estop).length));
