@@ -1075,9 +1075,7 @@ class ParamChanged(Message, frozen=True, kw_only=True):
 
 DRIVING: tuple[type[Message], ...] = (
     ControlRequest, ControlAck, CentralisedRequest, CentralisedCommands, Command, StopRequest, EStop, EStopReceipt,
-    PoseFix, ObjectFix, Heartbeat, ClockProbe, ClockReply, RobotStates, Reception, RelayedStates, BehaviourBroadcast,
-    RobotProfiles, SearchedDiscs, SeenObstacles, HealthReport, ChargeOrder,
-    PoseFix, RangeFix, ObjectFix, Heartbeat, ClockProbe, ClockReply, RobotStates, Reception, RelayedStates,
+    ChargeOrder, PoseFix, RangeFix, ObjectFix, Heartbeat, ClockProbe, ClockReply, RobotStates, Reception, RelayedStates,
     BehaviourBroadcast, RobotProfiles, SearchedDiscs, SeenObstacles, GridTiles, HealthReport,
 )  # fmt: skip
 """What must be of one version in all processes that drive robots; the rest is shown to people."""
@@ -1093,9 +1091,8 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
     CentralisedCommands: lambda m: len(m.robots) == len(m.linear_m_s) == len(m.angular_rad_s),
     RobotStates: lambda m: (
         len(m.robots) == len(m.x_m) == len(m.y_m) == len(m.heading_rad) == len(m.speed_m_s) == len(m.turn_rad_s)
-        == len(m.radius_m) and all(
-            len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad, m.aim_x_m, m.aim_y_m)
-        )
+        == len(m.radius_m)
+        and {len(m.teams), len(m.sigma_m), len(m.sigma_rad), len(m.aim_x_m), len(m.aim_y_m)} <= {0, len(m.robots)}
         and len(m.stop_extra_m) == len(m.stop_extra_s) in (0, len(m.robots))
         and len(m.aim_x_m) == len(m.aim_y_m)
         and len(m.speed_limit_m_s) == len(m.turn_limit_rad_s) == len(m.accel_m_s2)

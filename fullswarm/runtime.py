@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 import queue
 import signal
 import sys
@@ -38,8 +39,13 @@ AT_ONCE = 256
 WHILE_LATE = 16
 """Messages that a loop delivers before overdue timers fire again: with one of them, more would come than go."""
 
+FETCH_S = 0.05
+"""Longest time between two calls of a :data:`Source`: as often as robots tell their states."""
+
 Handler = Callable[[Any], None]
 Item = tuple[Handler, Any, Handler]
+Source = Callable[[], bool]
+"""Delivers some of the messages that wait elsewhere, on the runtime's thread; returns whether more wait there."""
 T = TypeVar("T")
 
 
@@ -90,6 +96,29 @@ class Mailbox:
         self._gate = threading.Lock()
         self._gate.acquire()
         self._wanted = False  # by the runtime's thread: a lock is not fair, and a stream of messages would keep it out
+        self._sources: tuple[Source, ...] = ()
+
+    def add_source(self, source: Source) -> None:
+        """Have `source` called before messages are delivered, at least each `FETCH_S`. Any thread may add."""
+        with self._count:
+            self._sources = (*self._sources, source)
+
+    def remove_source(self, source: Source) -> None:
+        """Call `source` no more, which may be running now. Any thread may remove."""
+        with self._count:
+            self._sources = tuple(each for each in self._sources if each != source)
+
+    @property
+    def fetch_s(self) -> float:
+        """In what time :meth:`fetch` is to be called again; infinite without sources."""
+        return FETCH_S if self._sources else math.inf
+
+    def fetch(self) -> bool:
+        """Have the sources deliver what waits there; return whether more does."""
+        more = False
+        for source in self._sources:
+            more |= source()
+        return more
 
     def put(self, handler: Handler, message: Any) -> None:
         """Have `handler` called with `message` on the runtime's thread. Any thread may put. Nothing is dropped."""
@@ -164,10 +193,10 @@ class Mailbox:
 
     def deliver_one(self, timeout_s: float) -> bool:
         """Wait up to `timeout_s` for one message and deliver it; False when none came, perhaps sooner."""
-        if timeout_s > 0 and self._queue.empty():
+        if timeout_s > 0 and self._queue.empty() and not self.fetch():
             self._gate.release()
             try:
-                self._bell.acquire(timeout=timeout_s)
+                self._bell.acquire(timeout=min(timeout_s, self.fetch_s))
             finally:
                 self._wanted = True
                 self._gate.acquire()
@@ -337,11 +366,13 @@ class Runtime:
             Seconds until it must be called again; sooner when :attr:`Mailbox.on_put` says so. 0: there is more.
         """
         # Messages first, but a flood of them must neither starve a deadline nor the other loop.
-        more = self.mailbox.drain(most=AT_ONCE) == AT_ONCE
+        more = self.mailbox.fetch()
+        more |= self.mailbox.drain(most=AT_ONCE) == AT_ONCE
         self._fire_due()
         if more:
             return 0.0
-        return max(0.0, self._timers[0][0] - self.now_s()) if self._timers else LONGEST_WAIT_S
+        next_s = self._timers[0][0] - self.now_s() if self._timers else LONGEST_WAIT_S
+        return max(0.0, min(next_s, self.mailbox.fetch_s))
 
     def _run_simulated(self, end_s: float) -> None:
         clock, mailbox, timers = self.clock, self.mailbox, self._timers
@@ -377,6 +408,7 @@ class Runtime:
                     continue
                 if self.now_s() >= end_s:
                     return
+                self.mailbox.fetch()  # what is due shall know it
                 self._fire_due()
 
     def _fire_due(self) -> None:

@@ -211,7 +211,7 @@ class FleetView:
         self._processes: dict[str, tuple[float, ProcessReport]] = {}  # by host
         self._charging: tuple[float, ChargingStatus] | None = None
         self._subscriptions = [
-            bus.subscribe(keys.health(), HealthReport, self._on_health),
+            bus.subscribe(keys.health(), HealthReport, self._on_health, latest=True),
             bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True),
             bus.subscribe(keys.profile(), RobotProfiles, self._on_profiles),
             bus.subscribe(keys.memory(), BehaviourMemory, self._on_memory, latest=True),
@@ -252,6 +252,21 @@ class FleetView:
             if all(each is None or each[0] < latest_s for each in tables):
                 found.add(robot)
         return frozenset(found if self._bus.connected() else {*found, "hub"})
+
+    def poses(self) -> list[tuple[str, float, float, float, float, float]]:
+        """Return ``(robot, x_m, y_m, heading_rad, speed_m_s, age_s)`` of robots whose pose has been received, by id.
+
+        The age is that of the newest message; cheaper than a snapshot, for what is shown many times a second.
+        """
+        now_s, found = self._scheduler.now_s(), []
+        for robot in sorted(self._states):
+            arrived_s, (x_m, y_m, heading_rad, speed_m_s, _, _) = self._states[robot]
+            health = self._health.get(robot)
+            if health is not None and health[0] > arrived_s:
+                arrived_s = health[0]
+            if math.isfinite(x_m):
+                found.append((robot, x_m, y_m, heading_rad, speed_m_s, now_s - arrived_s))
+        return found
 
     def snapshot(self) -> Snapshot:
         """Return the swarm as it is known now."""

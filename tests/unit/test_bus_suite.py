@@ -20,12 +20,12 @@ from fullswarm.bus.base import NamedBus, SenderBus
 from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
-from fullswarm.bus.zenoh_bus import CACHED_KEYS, ZenohBus, client_config, is_urgent, untyped
+from fullswarm.bus.zenoh_bus import CACHED_KEYS, FETCHED_AT_ONCE, ZenohBus, client_config, is_urgent, untyped
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
 from fullswarm.messages import Command, Heartbeat, Reception, SeenObstacles, StopRequest
-from fullswarm.runtime import Mailbox
+from fullswarm.runtime import FETCH_S, Mailbox
 
 DEADLINE_S = 5.0
 KEYS = Keys("test")
@@ -75,7 +75,7 @@ def hub() -> Iterator[str]:
         yield opened.endpoint
 
 
-@pytest.fixture(params=["local", "own", "remote"])
+@pytest.fixture(params=["local", "own", "remote", "shows"])
 def pair(request: pytest.FixtureRequest, hub: str) -> Iterator[Pair]:
     mailbox = Mailbox()
     if request.param == "local":
@@ -83,7 +83,7 @@ def pair(request: pytest.FixtureRequest, hub: str) -> Iterator[Pair]:
         yield Pair(local, local, mailbox)
         local.close()
         return
-    subscriber = ZenohBus(mailbox, hub=hub)
+    subscriber = ZenohBus(mailbox, hub=hub, only_shows=request.param == "shows")
     publisher = subscriber if request.param == "own" else ZenohBus(Mailbox(), hub=hub)
     for bus in (publisher, subscriber):
         bus.wait_connected(DEADLINE_S)
@@ -328,6 +328,70 @@ def test_latest_keeps_the_newest_of_each_key(remote: tuple[ZenohBus, ZenohBus, P
     assert seen == [("a", 49), ("b", 49), ("end", 0)]
     sender.publish(KEYS.heartbeat("a"), beat(50, "a"))
     pair.until(lambda: seen[-1] == ("a", 50))
+
+
+@pytest.fixture
+def shown(hub: str) -> Iterator[tuple[ZenohBus, ZenohBus, Pair]]:
+    """A publisher, a subscriber that only shows, and both as a pair."""
+    mailbox = Mailbox()
+    publisher, subscriber = ZenohBus(Mailbox(), hub=hub), ZenohBus(mailbox, hub=hub, only_shows=True)
+    for bus in (publisher, subscriber):
+        bus.wait_connected(DEADLINE_S)
+    yield publisher, subscriber, Pair(publisher, subscriber, mailbox)
+    publisher.close()
+    subscriber.close()
+
+
+def seen_obstacles(number: int) -> SeenObstacles:
+    return SeenObstacles(host="r1", rows=((float(number), 2.0, 0.5, 0.5, 0.0, 0.0),), stamp_s=1.0)
+
+
+def test_who_only_shows_fetches_the_newest_and_hears_heartbeats_at_once(
+    shown: tuple[ZenohBus, ZenohBus, Pair],
+) -> None:
+    publisher, subscriber, pair = shown
+    seen: list[float] = []
+    beats: list[int] = []
+    listening = subscriber.subscribe(
+        KEYS.obstacles(), SeenObstacles, lambda message: seen.append(message.rows[0][0]), latest=True
+    )
+    subscriber.subscribe(KEYS.heartbeat(), Heartbeat, lambda message: beats.append(message.sequence), latest=True)
+    pair.settle()
+    last = 2 * FETCHED_AT_ONCE
+    for number in range(last + 1):
+        publisher.publish(KEYS.obstacles("r1"), seen_obstacles(number))
+    publisher.publish(KEYS.heartbeat("a"), beat(7, "a"))
+    inbox = next(each for each in subscriber._inboxes if each.kind is Heartbeat)
+    wait(lambda: bool(inbox._waiting))  # it came behind the others, and did not wait for a fetch
+    assert seen == []
+    assert pair.mailbox.fetch()  # more than one fetch takes
+    pair.until(lambda: bool(seen) and seen[-1] == last)
+    assert 2 <= len(seen) <= 4
+    assert beats == [7]
+    assert pair.mailbox.fetch_s == FETCH_S
+    listening.close()
+    assert pair.mailbox.fetch_s == math.inf
+    publisher.publish(KEYS.obstacles("r1"), seen_obstacles(0))
+    pair.settle()
+    assert seen[-1] == last
+
+
+def test_what_is_fetched_is_checked_like_all_else(
+    hub: str, shown: tuple[ZenohBus, ZenohBus, Pair], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, subscriber, pair = shown
+    seen: list[SeenObstacles] = []
+    subscriber.subscribe(KEYS.obstacles(), SeenObstacles, seen.append, latest=True)
+    pair.settle()
+    raw = zenoh.open(client_config(hub, multicast=False))
+    good = encode(seen_obstacles(3))
+    for key, payload in (("r2", b""), ("r3", b"\xff\xfe"), ("r4", encode(beat(1))), ("r1", good)):
+        raw.put(f"test/{key}/obstacles/{key}", payload)
+    pair.until(lambda: bool(seen))
+    untyped(raw.close)
+    assert seen == [seen_obstacles(3)]
+    assert subscriber.dropped == 3
+    assert capsys.readouterr().out.count("message dropped") == 3
 
 
 def wait(condition: Callable[[], bool]) -> None:

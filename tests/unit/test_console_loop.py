@@ -13,7 +13,7 @@ import pytest
 from fullswarm.clock import MonotonicClock, SimClock
 from fullswarm.operator.console.serve import GATHER_S, RuntimeLoop
 from fullswarm.operator.console.server import LONGEST, Outbox
-from fullswarm.runtime import AT_ONCE, LONGEST_WAIT_S, Lane, Runtime
+from fullswarm.runtime import AT_ONCE, FETCH_S, LONGEST_WAIT_S, Lane, Runtime
 
 
 def test_serve_due_delivers_fires_and_returns_the_time_to_the_next_call() -> None:
@@ -28,6 +28,46 @@ def test_serve_due_delivers_fires_and_returns_the_time_to_the_next_call() -> Non
     clock.advance_to(0.6)
     assert runtime.serve_due() == pytest.approx(0.4)
     assert heard == ["message", "tick"]
+
+
+def test_what_waits_elsewhere_is_fetched_before_a_timer_fires_and_soon_again() -> None:
+    clock = SimClock()
+    runtime = Runtime(clock)
+    heard: list[object] = []
+    waiting = [3, 2, 1]
+
+    def source() -> bool:
+        if waiting:
+            heard.append(waiting.pop())
+        return bool(waiting)
+
+    runtime.mailbox.add_source(source)
+    runtime.every(10.0, lambda: heard.append("tick"), first_s=0.0)
+    assert runtime.serve_due() == 0.0  # more waits
+    assert heard == [1, "tick"]
+    assert runtime.serve_due() == 0.0
+    assert runtime.serve_due() == FETCH_S
+    assert heard == [1, "tick", 2, 3]
+    runtime.mailbox.remove_source(source)
+    waiting.append(4)
+    assert runtime.serve_due() == pytest.approx(10.0)
+    assert heard == [1, "tick", 2, 3]
+
+
+def test_a_loop_of_its_own_fetches_without_a_message_or_a_timer() -> None:
+    runtime = Runtime(MonotonicClock())
+    calls: list[float] = []
+
+    def source() -> bool:
+        calls.append(runtime.now_s())
+        if len(calls) == 4:
+            runtime.pause()
+        return False
+
+    runtime.mailbox.add_source(source)
+    runtime.run(5.0)
+    assert len(calls) >= 4
+    assert calls[3] - calls[0] < 4.0
 
 
 def test_a_flood_of_messages_does_not_starve_a_timer() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,19 +22,11 @@ UNKNOWN = RobotHealth(robot="", driver="", make="", model="", firmware="", lifec
 """A robot of which only the position is received."""
 
 
-def states(seen: Snapshot) -> list[list[Any]]:
-    """Return ``[id, x, y, heading, speed, age_s]`` per robot; rounded to what can be seen."""
+def states(poses: Iterable[tuple[str, float, float, float, float, float]]) -> list[list[Any]]:
+    """Return ``[id, x, y, heading, speed, age_s]`` for each of :meth:`FleetView.poses`, rounded to what can be seen."""
     return [
-        [
-            row.robot,
-            round(row.x_m, 3),
-            round(row.y_m, 3),
-            round(row.heading_rad, 3),
-            round(row.speed_m_s, 3),
-            round(row.age_s, 2),
-        ]
-        for row in seen.robots
-        if math.isfinite(row.x_m)
+        [robot, round(x_m, 3), round(y_m, 3), round(heading_rad, 3), round(speed_m_s, 3), round(age_s, 2)]
+        for robot, x_m, y_m, heading_rad, speed_m_s, age_s in poses
     ]
 
 

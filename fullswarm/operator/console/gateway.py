@@ -304,7 +304,7 @@ class Gateway:
         return hello
 
     def _states_frame(self, now_s: float) -> Made:
-        return {"t": "state", "at": round(now_s, 3), "robots": fleet.states(self.view.snapshot())}
+        return {"t": "state", "at": round(now_s, 3), "robots": fleet.states(self.view.poses())}
 
     def _goals_frame(self) -> Made:
         return {"t": "goals", "robots": self._goals.shown(self._world.orders())}

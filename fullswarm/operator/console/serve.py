@@ -254,7 +254,7 @@ def _gateway(
 
     hub = target.hub or DEFAULT_HUB
     credentials = credentials_at(hub, target.swarm, "console", "console")
-    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
+    bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials, only_shows=True)
     stack.callback(bus.close)
     renew_later(bus, runtime, keys, credentials)
     identity = Identity(
