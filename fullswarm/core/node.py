@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
+from fullswarm import kept
 from fullswarm.bus import Bus
 from fullswarm.clock import wall_time_s
 from fullswarm.config import SwarmConfig
@@ -100,6 +101,7 @@ class CoreNode:
         self.charging = ChargingNode(bus, keys, scheduler, config, store, roster, self.handler.halts_of, process)
         self.extra = tuple(extra)
         checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check, f"{GROUP}*": groups.check}
+        checks |= {f"{prefix}*": check for prefix, check in kept.CHECKS.items()}
         params = ParamServer(bus, keys, NODE, store, checks, self.library.expand, now_s=scheduler.now_s)
         self.relay = StateRelay(bus, keys, scheduler, config.agent.sensing_radius_m, config.state_cell_m)
         self._parts: tuple[Closing, ...] = (

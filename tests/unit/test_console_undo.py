@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from fullswarm.kept import MOST_KEPT
 from fullswarm.messages import BehaviourRequest, StopRequest
 from fullswarm.operator.console.sessions import OperatorSession
 from fullswarm.operator.console.undo import Asked, Known, UndoPlan
@@ -150,10 +151,49 @@ def test_a_group_goes_to_the_core_and_only_own_ones_can_be_changed(bench: Consol
     assert not bench.say(session, page, "group", op="save", name="two words", robots=["r1"])["ok"]
 
 
+def test_places_and_requests_are_kept_by_the_core_and_shown_to_all(bench: ConsoleBench) -> None:
+    page, session = bench.join()
+    bench.run(0.1)
+    dock = {"kind": "point", "points": [[1.0, 2.0]]}
+    sweep = {"behaviour": "area_sweep_bc", "parameters": {"lane_m": 0.5}, "robots": ["r1"]}
+    assert bench.say(session, page, "keep", op="save", what="place", name="dock", value=dock)["ok"]
+    assert bench.say(session, page, "keep", op="save", what="saved", name="sweep", value=sweep)["ok"]
+    bench.run(0.05)
+    asked = {each.key: (each.value, each.author) for each in bench.asked if each.op == "set"}
+    assert asked == {"place/dock": (dock, session.name), "saved/sweep": (sweep, session.name)}
+    bench.change("place/dock", dock)
+    bench.change("saved/sweep", sweep)
+    bench.run(0.2)
+    assert page.last("world")["places"] == {"dock": dock}
+    assert page.last("world")["saved"] == {"sweep": sweep}
+    assert any("keeps the place dock" in text for text in page.log("request"))
+    for what, value, words in (
+        ("place", {"kind": "area", "points": [[0.0, 0.0]]}, "corners"),
+        ("place", {"kind": "point", "points": [[0.0, 1e9]]}, "points"),
+        ("place", None, "nothing"),
+        ("saved", {"behaviour": ""}, "behaviour"),
+    ):
+        frame = {"op": "save", "what": what, "name": "x"} | ({} if value is None else {"value": value})
+        assert words in bench.say(session, page, "keep", **frame)["reason"]
+    assert "there is no x" in bench.say(session, page, "keep", op="delete", what="place", name="x")["reason"]
+    assert not bench.say(session, page, "keep", op="save", what="place", name="a/b", value=dock)["ok"]
+    assert bench.say(session, page, "keep", op="delete", what="place", name="dock")["ok"]
+    for number in range(MOST_KEPT):
+        bench.change(f"place/p{number}", dock)
+    bench.change("place/dock", None)
+    bench.run(0.1)
+    full = bench.say(session, page, "keep", op="save", what="place", name="one-more", value=dock)
+    assert str(MOST_KEPT) in full["reason"]
+    assert bench.say(session, page, "keep", op="save", what="place", name="p1", value=dock)["ok"]
+
+
 def test_an_observer_makes_no_group_and_undoes_nothing(bench: ConsoleBench) -> None:
     page = Page()
     session = bench.gateway.join("key-12345", "", page, role="observer")
-    for frame in ({"t": "group", "op": "save", "name": "x", "robots": ["r1"]}, {"t": "undo", "id": "a"}):
+    place = {"kind": "point", "points": [[1.0, 2.0]]}
+    keep = {"t": "keep", "op": "save", "what": "place", "name": "x", "value": place}
+    for frame in ({"t": "group", "op": "save", "name": "x", "robots": ["r1"]}, {"t": "undo", "id": "a"}, keep):
         assert "observer" in bench.say(session, page, **frame)["reason"]
     driver = bench.gateway.join("key-67890", "", page, role="driver")
     assert "driver" in bench.say(driver, page, "group", op="save", name="x", robots=["r1"])["reason"]
+    assert "driver" in bench.say(driver, page, **keep)["reason"]

@@ -8,7 +8,7 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``gateway.py``   connects the bus to the pages: subscriptions, frames and their rates; read this first
 ``sessions.py``  carries out what one operator does: requests, driving, leases, stops
 ``undo.py``      plans what undoes an operator's newest request
-``world.py``     mirrors the core's database: arena, behaviours, groups, orders of the robots
+``world.py``     mirrors the core's database: arena, behaviours, groups, places, orders of the robots
 ``detail.py``    samples all robots, and shows the details of those whose pane is open
 ``fleet.py``     the table of robots, the chart of metrics, the states
 ``map.py``       trails, goals, obstacles, covered cells, robots that the filter holds back
@@ -47,6 +47,7 @@ of ``index.html`` and a line in ``main.js``:
 ``detail.js``     the details of one robot; ``facts.js``: what it says, ``detail.css``: its looks
 ``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters; ``terms.js``: team, needs and roles;
                   ``refusals.js``: when a refusal's cause is gone; ``words.js``: titles, and states in words for people
+``places.js``     places on the map: their list, keeping one, drawing; ``saved.js``: requests kept under a name
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
 ``summary.js``    the fleet in words

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
@@ -164,6 +164,15 @@ class Group(Frame, frozen=True, kw_only=True):
     robots: Annotated[tuple[Name, ...], Meta(max_length=1024)] = ()
 
 
+class Keep(Frame, frozen=True, kw_only=True):
+    """Keep a place on the map or a request for all consoles under a name, or delete one; see :mod:`fullswarm.kept`."""
+
+    op: Literal["save", "delete"]
+    what: Literal["place", "saved"]
+    name: Name
+    value: dict[str, Any] | None = None
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
@@ -171,7 +180,7 @@ class Ping(Frame, frozen=True, kw_only=True):
 Past = Look | Mark | Clip
 Command = (
     Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Inspect | Undo
-    | Group | Ping
+    | Group | Keep | Ping
 )  # fmt: skip
 
 

@@ -39,6 +39,7 @@ NO_CLEAR = "your token is that of a driver: an operator who has looked at the ro
 NO_TAKE = "your token is that of a driver: it takes no robots over from their holders"
 READ_ONLY = "this console is read-only: it was started with --read-only"
 NO_GROUPS = "your token is that of a driver: it makes no groups"
+NO_KEEPING = "your token is that of a driver: it keeps no places and no requests"
 IN_STUDY = "this is not offered in a study"
 
 
@@ -157,7 +158,7 @@ class OperatorSession:
         if isinstance(command, frames.Study):
             reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"
             return Answer(ref=ref, ok=not reason, reason=reason)
-        if desk is not None and isinstance(command, frames.Undo | frames.Group):
+        if desk is not None and isinstance(command, frames.Undo | frames.Group | frames.Keep):
             return Answer(ref=ref, ok=False, reason=IN_STUDY)
         if desk is not None and (reason := desk.refusal(command)):
             return Answer(ref=ref, ok=False, reason=reason)
@@ -198,6 +199,8 @@ class OperatorSession:
                 reason = self._undo(command)
             case frames.Group():
                 reason = self._group(command)
+            case frames.Keep():
+                reason = self._keep(command)
             case _:  # an input: only a study takes note of it
                 reason = ""
         return Answer(ref=ref, ok=not reason, reason=reason)
@@ -290,6 +293,23 @@ class OperatorSession:
                 self._context.note(f"{self.name} makes the {what}: {', '.join(robots)}", self.name)
 
         return self._context.world.set_group(command.name, robots, self.name, receive)
+
+    def _keep(self, command: frames.Keep) -> str:
+        """Ask the core to keep a place or a request, or to delete it; return why that is not asked for."""
+        if self.role != "operator":
+            return NO_KEEPING
+        if command.op == "save" and command.value is None:
+            return "there is nothing to keep"
+        value = command.value if command.op == "save" else None
+        thing = f"place {command.name}" if command.what == "place" else f"saved request {command.name}"
+
+        def receive(reply: ParamReply) -> None:
+            if not reply.ok:
+                self._context.note(f"{thing} is not changed: {reply.reason}", self.name)
+            else:
+                self._context.note(f"{self.name} {'deletes' if value is None else 'keeps'} the {thing}", self.name)
+
+        return self._context.world.keep(f"{command.what}/{command.name}", value, self.name, receive)
 
     def _mission(self, command: frames.Mission) -> Answer:
         """Pass it to the core, whose reply follows as a frame of its own."""

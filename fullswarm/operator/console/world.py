@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from fullswarm.bus.base import Bus
+from fullswarm.errors import ConfigError
+from fullswarm.kept import CHECKS, MOST_KEPT, PLACE, SAVED
 from fullswarm.keys import Keys
 from fullswarm.messages import Heartbeat, ParamEntry, ParamReply
 from fullswarm.operator.params import ParamClient, Stored
@@ -23,7 +25,7 @@ LONGEST_GAP_S, CALM_S = 8.0, 10.0
 SETTLE_S = 0.2
 """Records that change together are read in one answer."""
 
-_SHOWN = (BEHAVIOUR, GROUP, "world/", "agent/")
+_SHOWN = (BEHAVIOUR, GROUP, PLACE, SAVED, "world/", "agent/")
 FILTERED = "_bc"
 """Ends the name of a behaviour that is another one behind the safety filter."""
 MOST_OWN_GROUPS = 64
@@ -91,6 +93,8 @@ class World:
             "behaviours": {name: self.record(name) for name in self._names(BEHAVIOUR)},
             "groups": {name: list(self.group(name) or ()) for name in self._names(GROUP)},
             "own_groups": self.own_groups(),
+            "places": self._tables(PLACE),
+            "saved": self._tables(SAVED),
         }
 
     def record(self, name: str) -> dict[str, Any] | None:
@@ -146,6 +150,22 @@ class World:
         self._params.ask("set", GROUP + name, on_reply, value, author=author)
         return ""
 
+    def keep(self, key: str, value: dict[str, Any] | None, author: str, on_reply: Callable[[ParamReply], None]) -> str:
+        """Have the core keep a place or a request, or take it away (None); return why that is not asked for."""
+        prefix = PLACE if key.startswith(PLACE) else SAVED
+        if not self.known:
+            return "the core has not answered yet"
+        if value is None and key not in self._values:
+            return f"there is no {key.removeprefix(prefix)}"
+        if value is not None and key not in self._values and len(self._names(prefix)) >= MOST_KEPT:
+            return f"there are {MOST_KEPT} already: delete one first"
+        try:
+            stored: Stored = CHECKS[prefix](key, value)
+        except ConfigError as error:
+            return str(error)
+        self._params.ask("set", key, on_reply, stored, author=author)
+        return ""
+
     def orders(self) -> dict[str, dict[str, Any]]:
         """Return robot → its order of the core: `request_id`, `behaviour`, `parameters` and more."""
         return {
@@ -162,6 +182,10 @@ class World:
 
     def _names(self, prefix: str) -> list[str]:
         return sorted(key.removeprefix(prefix) for key in self._values if key.startswith(prefix))
+
+    def _tables(self, prefix: str) -> dict[str, dict[str, Any]]:
+        found = ((name, self._values[prefix + name]) for name in self._names(prefix))
+        return {name: value for name, value in found if isinstance(value, dict)}
 
     def _with_default(self, spec: dict[str, Any]) -> dict[str, Any]:
         stored = self._values.get(str(spec.get("default_from", "")))

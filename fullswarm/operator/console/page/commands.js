@@ -187,6 +187,19 @@ export class Commands extends Emitter {
     return answer;
   }
 
+  /**
+   * Keep a place or a request for all consoles, or delete it.
+   * @param {"save" | "delete"} op
+   * @param {"place" | "saved"} what
+   * @param {string} name
+   * @param {object} [value]
+   * @returns {Promise<Answer>}
+   */
+  async keep(op, what, name, value) {
+    if (this.withheld) return { ok: false, reason: this.withheld };
+    return this.link.ask({ t: "keep", op, what, name, ...(value && { value }) });
+  }
+
   /** @param {{t: string, robots: string[], reason?: string}} message */
   async #urgent(message) {
     const { ok, lost, reason } = await this.link.ask(message);

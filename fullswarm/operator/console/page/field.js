@@ -6,6 +6,8 @@ import { entryText, fromSlider, number, parseEntry, rangeText, toSlider } from "
 /** @import { Bounds } from "./forms.js" */
 /** @import { Parameter, Point } from "./types.d.ts" */
 
+/** @typedef {{words: string, points: Point[]}[]} Known places that a field of points offers */
+
 let counted = 0;
 
 /**
@@ -20,13 +22,14 @@ let counted = 0;
  * @param {string} name
  * @param {Parameter} parameter
  * @param {Pick} pick
+ * @param {Known} [known]
  * @returns {Field}
  */
-export function makeField(name, parameter, pick) {
+export function makeField(name, parameter, pick, known = []) {
   const id = `field-${(counted += 1)}`;
   const error = make("p", { class: "field-error", id: `${id}-error` });
   const doc = make("p", { class: "field-doc", id: `${id}-doc`, text: docText(parameter) });
-  const control = makeControl(id, name, parameter, pick);
+  const control = makeControl(id, name, parameter, pick, known);
   control.input.setAttribute("aria-describedby", `${id}-doc ${id}-error`);
   const star = parameter.required ? make("span", { class: "required", text: "required" }) : "";
   const label = make("label", { for: id, class: "field-label" }, make("span", { text: parameter.label ?? name }), star);
@@ -53,11 +56,12 @@ function docText(parameter) {
  * @param {string} name
  * @param {Parameter} parameter
  * @param {Pick} pick
+ * @param {Known} known
  */
-function makeControl(id, name, parameter, pick) {
+function makeControl(id, name, parameter, pick, known) {
   if (parameter.type === "flag") return makeFlag(id, name, parameter);
   if (parameter.choices?.length) return makeChoice(id, name, parameter);
-  if (parameter.type === "point" || parameter.type === "points") return makePoints(id, name, parameter, pick);
+  if (parameter.type === "point" || parameter.type === "points") return makePoints(id, name, parameter, pick, known);
   if (parameter.type === "number" || parameter.type === "integer") return makeNumber(id, name, parameter);
   const input = make("input", { id, name, type: "text", value: entryText(parameter.default), autocomplete: "off" });
   return { element: input, input, entry: () => input.value };
@@ -132,8 +136,9 @@ function makeSlider(name, parameter, input) {
  * @param {string} name
  * @param {Parameter} parameter
  * @param {Pick} pick
+ * @param {Known} known
  */
-function makePoints(id, name, parameter, pick) {
+function makePoints(id, name, parameter, pick, known) {
   const many = parameter.type === "points";
   const placeholder = many ? "x, y; x, y; …" : "x, y";
   const input = make("input", { id, name, type: "text", value: entryText(parameter.default), placeholder, autocomplete: "off" });
@@ -148,5 +153,24 @@ function makePoints(id, name, parameter, pick) {
       return many;
     }, [...points]);
   });
-  return { element: make("div", { class: "points" }, input, button), input, entry: () => input.value };
+  const places = known.length ? makeKnown(name, known, many, input) : "";
+  return { element: make("div", { class: "points" }, input, button, places), input, entry: () => input.value };
+}
+
+/**
+ * Make the choice of a known place, which fills in its points.
+ * @param {string} name
+ * @param {Known} known
+ * @param {boolean} many
+ * @param {HTMLInputElement} input
+ */
+function makeKnown(name, known, many, input) {
+  const options = known.map(({ words }, k) => make("option", { value: k, text: words }));
+  const select = make("select", { "aria-label": `Place: ${name}` }, make("option", { value: "", text: "Place…" }), ...options);
+  select.addEventListener("change", () => {
+    const place = known[Number(select.value)];
+    if (select.value !== "" && place) input.value = entryText(many ? place.points : place.points[0]);
+    select.value = "";
+  });
+  return select;
 }

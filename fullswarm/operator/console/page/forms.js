@@ -260,3 +260,18 @@ export function parseTerms(entries, fields) {
   }
   return { terms: /** @type {Terms} */ (terms), errors };
 }
+
+/**
+ * Write terms for the fields of `termFields`: what `parseTerms` reads.
+ * @param {Terms} terms
+ * @param {Record<string, Parameter>} fields
+ * @returns {Record<string, string>}
+ */
+export function termEntries({ team = "", needs = {}, roles = {} }, fields) {
+  const listed = (/** @type {unknown} */ value) => (Array.isArray(value) ? value.join(", ") : entryText(value));
+  const entries = Object.entries(needs).map(([key, value]) => [`needs.${key}`, listed(key === "battery" ? Number(value) * 100 : value)]);
+  const given = Object.entries(roles).map(([role, names]) => [`roles.${role}`, names.join(", ")]);
+  const all = Object.entries(roles).map(([role, names]) => `${role}: ${names.join(", ")}`).join("; ");
+  const found = Object.fromEntries([["team", team], ...entries, ...given, ["roles", all]]);
+  return Object.fromEntries(Object.keys(fields).map((name) => [name, found[name] ?? ""]));
+}

@@ -1,6 +1,7 @@
 /** The layers under the robots that change seldom: floor, grid, boxes, coverage, what was seen, trails. */
 
 import { context2d } from "./dom.js";
+import { drawPlaces } from "./places.js";
 import { scaleBar } from "./viewport.js";
 
 /** @import { Colours } from "./palette.js" */
@@ -38,6 +39,7 @@ export function drawFloor(/** @type {Scene} */ scene, /** @type {{coverage: bool
   }
   drawBoxes(scene);
   drawDocks(scene);
+  drawPlaces(scene);
   drawScale(scene);
 }
 

@@ -6,14 +6,15 @@ import { short } from "./fleet.js";
 const NAME = /^[A-Za-z0-9_-]{1,64}$/;
 
 /**
- * Return why a name cannot be that of a new group; empty: it can.
+ * Return why a name cannot be that of a new group, or of something else that is kept; empty: it can.
  * @param {string} name
  * @param {Iterable<string>} taken names of the fleet file, which are not replaced from here
+ * @param {string} [what] it is the name of
  */
-export function nameProblem(name, taken) {
-  if (!name) return "give the group a name";
+export function nameProblem(name, taken, what = "group") {
+  if (!name) return `give the ${what} a name`;
   if (!NAME.test(name)) return "letters, digits, - and _ only, 64 at most";
-  if (name === "all" || [...taken].includes(name)) return `the group ${name} is in the fleet file: choose another name`;
+  if ((what === "group" && name === "all") || [...taken].includes(name)) return `the group ${name} is in the fleet file: choose another name`;
   return "";
 }
 

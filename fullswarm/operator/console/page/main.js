@@ -6,7 +6,7 @@
  * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js,
  *           stick.js (a finger on the screen), signals.js (sound, vibration)
  * panels    fleet.js (table), attention.js (the strip above it), groups.js, detail.js (one robot; facts.js), panel.js
- *           (behaviours; field.js, forms.js, refusals.js), missions.js, charts.js, log.js, legend.js, camera.js, banners.js,
+ *           (behaviours; field.js, forms.js, refusals.js, saved.js, places.js), missions.js, charts.js, log.js, legend.js, camera.js, banners.js,
  *           study.js (the dialogs of a study); words.js (words for people), summary.js (the fleet in words, spoken),
  *           layout.js (tabs, menus)
  * map       map.js (the loop), underlay.js, ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js,
@@ -37,7 +37,9 @@ import { Marks } from "./marks.js";
 import { Missions } from "./missions.js";
 import { Panel } from "./panel.js";
 import { Past } from "./past.js";
+import { Places } from "./places.js";
 import { Pointer } from "./pointer.js";
+import { SavedRequests } from "./saved.js";
 import { Selection } from "./selection.js";
 import { Signals } from "./signals.js";
 import { Stick } from "./stick.js";
@@ -76,7 +78,9 @@ const arrows = new ArrowDrive(driver);
 const stick = new Stick(driver);
 const pad = new Pad(driver, selection, () => stops.estop());
 new Pointer(map, tools);
-new Panel({ store: present, selection, commands, tools });
+const panel = new Panel({ store: present, selection, commands, tools });
+new SavedRequests({ store: present, selection, commands, panel });
+new Places({ store: present, selection, commands, tools });
 new GroupBar(store, selection, commands);
 const detail = new DetailPane({ store, present, link, theme });
 const openDetail = (/** @type {string} */ id) => {

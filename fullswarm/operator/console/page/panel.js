@@ -1,14 +1,15 @@
 /** The behaviour panel: a list to search, and a form made from the chosen behaviour's parameters. */
 
-import { byId, make, robots, setText } from "./dom.js";
+import { byId, Emitter, make, robots, setText } from "./dom.js";
 import { makeField } from "./field.js";
 import { behaviourGroup, listed, parseForm } from "./forms.js";
+import { choices } from "./places.js";
 import { SEEN_WITHIN_S, causeHolds } from "./refusals.js";
 import { NOT_REPORTED } from "./selection.js";
 import { makeTerms } from "./terms.js";
 import { progressWords, titleOf } from "./words.js";
 
-/** @import { Behaviour, RequestStatus, UndoFrame } from "./types.d.ts" */
+/** @import { Behaviour, RequestStatus, SavedRequest, Terms, UndoFrame } from "./types.d.ts" */
 
 const GROUPS = {
   filtered: "Behind the safety filter",
@@ -16,17 +17,23 @@ const GROUPS = {
   stick: "For sticks: they end when the stick is released",
 };
 
-export class Panel {
+/**
+ * Emits "choose" when another form, or none, is shown.
+ * @extends {Emitter<{choose: undefined}>}
+ */
+export class Panel extends Emitter {
   /**
    * @param {{store: import("./store.js").Store, selection: import("./selection.js").Selection,
    *   commands: import("./commands.js").Commands, tools: import("./tools.js").Tools}} parts
    */
   constructor({ store, selection, commands, tools }) {
+    super();
     this.store = store;
     this.selection = selection;
     this.commands = commands;
     this.tools = tools;
     this.chosen = /** @type {string | null} */ (null);
+    this.savedAs = ""; // the name of the saved request that the form was opened from
     this.search = /** @type {HTMLInputElement} */ (byId("behaviour-search"));
     this.start = byId("start");
     this.refusal = byId("refusal");
@@ -98,9 +105,26 @@ export class Panel {
     return button;
   }
 
-  /** @param {string | null} name */
-  #choose(name) {
+  /**
+   * Show the form of a behaviour as a request was filled in.
+   * @param {SavedRequest} saved
+   * @param {string} name that it is kept under
+   */
+  open(saved, name) {
+    const { behaviour, parameters = {}, team, needs, roles } = saved;
+    if (!this.store.behaviours[behaviour]) return this.#refuse(`${name}: there is no behaviour ${behaviour} any more`);
+    this.#choose(behaviour, { parameters, terms: { team, needs, roles }, name });
+    return this.start.focus({ preventScroll: true });
+  }
+
+  /**
+   * @param {string | null} name
+   * @param {{parameters: Record<string, unknown>, terms: Terms, name: string}} [given] what the form says at first
+   */
+  #choose(name, given = { parameters: {}, terms: {}, name: "" }) {
     this.chosen = name;
+    this.savedAs = given.name;
+    this.emit("choose");
     const form = byId("behaviour-form");
     form.hidden = name === null;
     byId("behaviour-choice").hidden = name !== null;
@@ -119,10 +143,16 @@ export class Panel {
     /** @type {import("./field.js").Pick} */
     const pick = (onPoint, points) => this.tools.pick(points, onPoint);
     const parameters = Object.entries(record.parameters ?? {});
-    this.#fields = Object.fromEntries(parameters.map(([each, parameter]) => [each, makeField(each, parameter, pick)]));
+    const { places } = this.store;
+    const first = (/** @type {string} */ each, /** @type {unknown} */ usual) => given.parameters[each] ?? usual;
+    this.#fields = Object.fromEntries(
+      parameters.map(([each, parameter]) => [
+        each, makeField(each, { ...parameter, default: first(each, parameter.default) }, pick, choices(places, parameter.type === "points")),
+      ]),
+    );
     const elements = Object.values(this.#fields).map((field) => field.element);
     if (elements.length === 0) elements.push(make("p", { class: "empty", text: "It has no parameters." }));
-    this.#terms = makeTerms(record, Object.keys(this.store.groups));
+    this.#terms = makeTerms(record, Object.keys(this.store.groups), given.terms);
     byId("form-fields").replaceChildren(...elements, this.#terms.element);
     this.#label();
   }
@@ -138,8 +168,19 @@ export class Panel {
   #submit(event) {
     event.preventDefault();
     if (this.selection.absent) return this.#refuse(`not sent: ${NOT_REPORTED}`);
+    const filled = this.filled();
+    if (!filled) return undefined;
+    const { behaviour, parameters, ...terms } = filled;
+    return this.commands.request(behaviour, this.selection.list(), parameters, terms);
+  }
+
+  /**
+   * Return what the form says; null: something is wrong with it, which is shown.
+   * @returns {{behaviour: string, parameters: Record<string, unknown>} & Terms | null}
+   */
+  filled() {
     const { chosen } = this;
-    if (chosen === null) return undefined;
+    if (chosen === null) return null;
     const { parameters = {} } = this.store.behaviours[chosen];
     const entries = Object.fromEntries(Object.entries(this.#fields).map(([name, field]) => [name, field.entry()]));
     const { values, errors } = parseForm(entries, parameters);
@@ -147,11 +188,10 @@ export class Panel {
     const { terms = {}, wrong: more = [] } = this.#terms?.read() ?? {};
     const wrong = Object.keys(errors);
     const words = [...wrong.map((name) => `${name} ${errors[name]}`), ...more];
-    if (words.length) {
-      this.#refuse(`not sent: ${words.join("; ")}`);
-      return wrong.length ? this.#fields[wrong[0]].focus() : undefined;
-    }
-    return this.commands.request(chosen, this.selection.list(), values, terms);
+    if (words.length === 0) return { behaviour: chosen, parameters: values, ...terms };
+    this.#refuse(`not sent: ${words.join("; ")}`);
+    if (wrong.length) this.#fields[wrong[0]].focus();
+    return null;
   }
 
   /** @param {RequestStatus} status */

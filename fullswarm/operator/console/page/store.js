@@ -5,7 +5,7 @@ import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
-/** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Detail, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
+/** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Detail, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Place, Point, RequestStatus, Robot, SavedRequest, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
 
 const COUNTED = new Intl.Collator("en", { numeric: true }); // ten times as fast as localeCompare
 const LOG_KEPT = 500;
@@ -35,6 +35,8 @@ export class Store extends Emitter {
     this.behaviours = /** @type {Record<string, Behaviour>} */ ({});
     this.groups = /** @type {Record<string, string[]>} */ ({});
     this.own_groups = /** @type {string[]} */ ([]); // those that consoles have made
+    this.places = /** @type {Record<string, Place>} */ ({});
+    this.saved = /** @type {Record<string, SavedRequest>} */ ({});
     this.looks = new Looks();
     this.tracks = /** @type {Map<string, Track>} */ (new Map());
     this.clock = /** @type {{update: (at_s: number, now_s: number) => void, drawn: (now_s: number) => number}} */ (new ServerClock());
@@ -171,10 +173,10 @@ export class Store extends Emitter {
    */
   adopt(other) {
     const tracks = new Map([...other.tracks].map(([id, track]) => [id, track.copy()]));
-    const { arena, boxes, behaviours, groups, own_groups, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles } = other;
+    const { arena, boxes, behaviours, groups, own_groups, places, saved, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles } = other;
     const { hub, core_age_s, nodes, missing, docks, leases, missions, clock } = other;
     Object.assign(this, {
-      arena, boxes, behaviours, groups, own_groups, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles, hub,
+      arena, boxes, behaviours, groups, own_groups, places, saved, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles, hub,
       core_age_s, nodes, missing, docks, leases, missions, clock, tracks, fleet: new Map(other.fleet),
       charts: [...other.charts], log: [...other.log], pending: null,
     });
@@ -232,6 +234,8 @@ export class Store extends Emitter {
     this.behaviours = message.behaviours ?? this.behaviours;
     this.groups = message.groups ?? this.groups;
     this.own_groups = message.own_groups ?? this.own_groups;
+    this.places = message.places ?? this.places;
+    this.saved = message.saved ?? this.saved;
     this.looks = new Looks(Object.keys(this.behaviours));
     this.emit("world", message);
   }

@@ -2,7 +2,7 @@
 
 import { make, setText } from "./dom.js";
 import { makeField } from "./field.js";
-import { parseTerms, termFields } from "./forms.js";
+import { parseTerms, termEntries, termFields } from "./forms.js";
 
 /** @import { Behaviour, Terms } from "./types.d.ts" */
 
@@ -17,12 +17,16 @@ const TITLE = "More: team, who takes part, roles";
  * Make the part for a behaviour.
  * @param {Behaviour} record
  * @param {string[]} groups
+ * @param {Terms} [given] what the fields say at first
  * @returns {TermsPart}
  */
-export function makeTerms(record, groups) {
+export function makeTerms(record, groups, given = {}) {
   const sections = termFields(record, groups);
   const parameters = Object.assign({}, ...sections.map(({ fields }) => fields));
-  const fields = Object.fromEntries(Object.keys(parameters).map((name) => [name, makeField(name, parameters[name], () => {})]));
+  const begun = termEntries(given, parameters);
+  const fields = Object.fromEntries(
+    Object.keys(parameters).map((name) => [name, makeField(name, { ...parameters[name], default: begun[name] || undefined }, () => {})]),
+  );
   const entries = () => Object.fromEntries(Object.entries(fields).map(([name, field]) => [name, field.entry()]));
   const summary = make("summary", { testid: "terms", text: TITLE });
   const element = make("details", { class: "terms" }, summary);
@@ -45,5 +49,6 @@ export function makeTerms(record, groups) {
     }
     return { terms, wrong: Object.entries(errors).map(([name, error]) => `${parameters[name].label}: ${error}`) };
   };
+  count();
   return { element, read };
 }

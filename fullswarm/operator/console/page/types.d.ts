@@ -64,6 +64,19 @@ export interface Behaviour {
   parameters?: Record<string, Parameter>;
 }
 
+/** A place on the map. An area has two opposite corners, or all of its corners in order. */
+export interface Place {
+  kind: "point" | "area";
+  points: Point[];
+}
+
+/** A request as it was asked; no robots: whichever are selected. */
+export interface SavedRequest extends Terms {
+  behaviour: string;
+  parameters?: Record<string, unknown>;
+  robots?: string[];
+}
+
 export interface Shown {
   arena: Box | null;
   boxes: number[][];
@@ -72,6 +85,8 @@ export interface Shown {
   behaviours: Record<string, Behaviour>;
   groups: Record<string, string[]>;
   own_groups: string[];
+  places: Record<string, Place>;
+  saved: Record<string, SavedRequest>;
 }
 
 /** What is drawn under the map. `place`: size of a pixel (m), lower left corner (m), yaw; null: it fills the arena. */
