@@ -24,8 +24,11 @@ NEAR_M = 0.5
 def asked(observer: Observer) -> Iterator[dict[str, BehaviourRequest]]:
     """All requests on the bus, by id, as another program receives them."""
     found: dict[str, BehaviourRequest] = {}
-    key = Keys("swarm").behaviour_request
-    subscription = observer.bus.subscribe(key, BehaviourRequest, lambda each: found.setdefault(each.id, each) and None)
+
+    def receive(request: BehaviourRequest) -> None:
+        found[request.id] = request
+
+    subscription = observer.bus.subscribe(Keys("swarm").behaviour_request, BehaviourRequest, receive)
     yield found
     subscription.close()
 

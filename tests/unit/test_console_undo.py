@@ -191,7 +191,7 @@ def test_an_observer_makes_no_group_and_undoes_nothing(bench: ConsoleBench) -> N
     page = Page()
     session = bench.gateway.join("key-12345", "", page, role="observer")
     place = {"kind": "point", "points": [[1.0, 2.0]]}
-    keep = {"t": "keep", "op": "save", "what": "place", "name": "x", "value": place}
+    keep: dict[str, Any] = {"t": "keep", "op": "save", "what": "place", "name": "x", "value": place}
     for frame in ({"t": "group", "op": "save", "name": "x", "robots": ["r1"]}, {"t": "undo", "id": "a"}, keep):
         assert "observer" in bench.say(session, page, **frame)["reason"]
     driver = bench.gateway.join("key-67890", "", page, role="driver")
