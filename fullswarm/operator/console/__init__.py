@@ -7,6 +7,8 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 
 ``gateway.py``   connects the bus to the pages: subscriptions, frames and their rates; read this first
 ``sessions.py``  carries out what one operator does: requests, driving, leases, stops
+``handover.py``  hands robots over from one operator to another: offers, and what becomes of them
+``presence.py``  tells which operators are here, and which robots they hold and drive
 ``undo.py``      plans what undoes an operator's newest request
 ``world.py``     mirrors the core's database: arena, behaviours, groups, orders of the robots
 ``detail.py``    samples all robots, and shows the details of those whose pane is open
