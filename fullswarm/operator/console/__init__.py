@@ -53,6 +53,9 @@ of ``index.html`` and a line in ``main.js``:
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
 ``summary.js``    the fleet in words
 ``camera.js``     the pictures of the cameras
+``people.js``      the operators on this console, and hand-over; ``people.css``: looks of it, of guide and log filter
+``guide.js``       the guide for the first minute; ``tips.js``: tooltips
+``logfilter.js``   which lines of the log are shown
 ``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``labels.js``     where labels go: beside their robots, never over a robot or another label
