@@ -48,7 +48,7 @@ test("an operator in words", () => {
   const ben = { name: "ben", role: "driver", pages: 2, clock: "12:03", holds: ["r1"], holding: 30, drives: ["r1"] };
   assert.equal(personWords(ben), "driver, since 12:03 · 2 pages · holds r1 and 29 more · drives r1");
   const away = { name: "x", role: "", pages: 0, clock: "", holds: ["r2", "r3"], holding: 2, drives: [] };
-  assert.equal(personWords(away), "not on this console · holds r2, r3");
+  assert.equal(personWords(away), "elsewhere: a shell, a program or another console · holds r2, r3");
 });
 
 test("an offer in words, for both", () => {

@@ -3,7 +3,7 @@
  * the row above the map, covers neither map nor stops, and takes no focus: robots can be operated meanwhile.
  */
 
-import { byId, setFlag, setText } from "./dom.js";
+import { byId, setFlag, setText, touched } from "./dom.js";
 
 const KEPT_AS = "guide";
 const SEEN = "seen";
@@ -42,7 +42,7 @@ export const STEPS = [
   },
   {
     name: "help", at: ["#help", "#bar-fold"], done: ({ helped }) => helped,
-    mouse: "Open the help: it has all keys, and this guide.", touch: "Open ☰, then ?: the help has this guide again.",
+    mouse: "Open the help: it has all keys, and this guide.", touch: "Open the help, ? at the top (on small screens in ☰): it has this guide again.",
   },
 ];
 
@@ -118,8 +118,7 @@ export class Guide {
     this.#at = at;
     const step = this.#steps[at];
     if (!step) return this.close();
-    const touched = typeof matchMedia === "function" && matchMedia("(pointer: coarse)").matches;
-    const words = `${done ? "✓ " : ""}${at + 1} of ${this.#steps.length}. ${touched ? step.touch : step.mouse}`;
+    const words = `${done ? "✓ " : ""}${at + 1} of ${this.#steps.length}. ${touched() ? step.touch : step.mouse}`;
     setText(byId("guide-words"), words);
     byId("guide-words").title = words;
     setText(byId("guide-next"), at === this.#steps.length - 1 ? "Done" : "Next");

@@ -171,7 +171,7 @@ export class People {
 export function personWords({ role, pages, clock, holds, holding, drives }) {
   const more = holding - holds.length;
   return [
-    pages ? `${role}, since ${clock}` : "not on this console", pages > 1 ? `${pages} pages` : "",
+    pages ? `${role}, since ${clock}` : "elsewhere: a shell, a program or another console", pages > 1 ? `${pages} pages` : "",
     holding ? `holds ${short(holds)}${more > 0 ? ` and ${more} more` : ""}` : "", drives.length ? `drives ${short(drives)}` : "",
   ].filter(Boolean).join(" · ");
 }
