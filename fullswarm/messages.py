@@ -157,13 +157,16 @@ class StopRequest(Message, frozen=True, kw_only=True, tag="StopRequest/2"):
     stamp_s: Stamp = 0.0
 
 
-class LeaseRequest(Message, frozen=True, kw_only=True):
+class LeaseRequest(Message, frozen=True, kw_only=True, tag="LeaseRequest/2"):
     """An operator takes, renews or returns leases of robots. Repeated each second while they are held."""
 
     operator: str
     robots: Names
     hold: bool  # False: return those that `operator` holds
     take: bool = False  # also leases that another operator holds now
+    given_by: str = (
+        ""  # with `take`: only leases of this operator, who has handed them over; empty: of whoever holds them
+    )
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

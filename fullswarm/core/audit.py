@@ -194,6 +194,7 @@ class AuditRecorder:
         self._leases: dict[str, Lease] = {}
         self._docks: dict[str, tuple[str, str]] = {}  # slot → phase and reason, of those that are not used
         self._holders: Recent[str, str] = Recent(256)  # operator → who sent their newest lease request
+        self._given: Recent[str, str] = Recent(256)  # operator → who hands robots over to them
         self._robots: dict[str, Robot] = {}
         self._summary_s, self._noted_s, self._sync_s = scheduler.now_s(), scheduler.now_s(), -math.inf
         self._noted = log.head
@@ -383,7 +384,12 @@ class AuditRecorder:
 
     # ---------------------------------------------------------------- leases
     def _lease_request(self, delivery: Delivery[LeaseRequest]) -> None:
-        self._holders[_short(delivery.message.operator)] = delivery.sender
+        request = delivery.message
+        self._holders[_short(request.operator)] = delivery.sender
+        if request.given_by:
+            self._given[_short(request.operator)] = request.given_by
+        elif request.take:
+            self._given.pop(_short(request.operator), None)
 
     def _leased(self, message: Leases) -> None:
         now = {lease.robot: lease for lease in message.leases}
@@ -396,13 +402,16 @@ class AuditRecorder:
             if not holder:
                 act, operator, other = "lease_end", before, ""
             elif new is not None and new.taken_from:
-                act, operator, other = "take_over", holder, new.taken_from
+                given = self._given.get(_short(holder)) == new.taken_from
+                act, operator, other = "hand_over" if given else "take_over", holder, new.taken_from
             else:
                 act, operator, other = "lease", holder, ""
             groups.setdefault((act, operator, other), []).append(robot)
         self._leases = now
         for (act, operator, other), robots in groups.items():
             what = {"from": other} if other else {}
+            if act == "hand_over":
+                self._given.pop(_short(operator), None)  # what they take later is a take-over again
             self._write(Event(act, what, robots, sender=self._holders.get(_short(operator)) or "", operator=operator))
 
     # ---------------------------------------------------------------- missions

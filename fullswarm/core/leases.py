@@ -112,7 +112,7 @@ class Authority:
             held = self._held.get(robot)
             if held is not None and held.operator == request.operator:
                 held.renewed_s = now_s
-            elif held is None or request.take:
+            elif held is None or (request.take and request.given_by in ("", held.operator)):
                 taken_from = held.operator if held else ""
                 self._held[robot] = Held(request.operator, now_s, now_s, taken_from)
                 changed = True

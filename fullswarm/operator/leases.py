@@ -28,6 +28,7 @@ class Claim:
     take: bool  # until the core has granted it: the request that takes it over may be lost
     held: bool = False  # as the core reports
     of_group: bool = False  # not named by an operator
+    given_by: str = ""  # who has handed it over: taken from this operator only
 
 
 class LeaseHolder:
@@ -89,15 +90,28 @@ class LeaseHolder:
         found = {robot: self.leases[robot].operator for robot in robots if robot in self.leases}
         return {robot: operator for robot, operator in found.items() if operator != self.name}
 
-    def hold(self, robots: Iterable[str], *, take: bool = False) -> None:
-        """Ask for the leases of `robots` ("@name": of a group) and keep them; with `take` also from their holders."""
+    def hold(self, robots: Iterable[str], *, take: bool = False, given_by: str = "") -> None:
+        """Ask for the leases of `robots` ("@name": of a group) and keep them.
+
+        Parameters
+        ----------
+        take
+            Also from the operators that hold them.
+        given_by
+            With `take`: only from this operator, who has handed them over.
+        """
         robots, now_s = tuple(robots), self._scheduler.now_s()
         for robot in robots:
             claim = self._wanted.get(robot)
             if claim is None or not claim.held:
-                self._wanted[robot] = Claim(now_s, take)
+                self._wanted[robot] = Claim(now_s, take, given_by=given_by)
         if robots:
-            self._ask(robots, hold=True, take=take)
+            self._ask(robots, hold=True, take=take, given_by=given_by)
+
+    def forget(self, robots: Iterable[str]) -> None:
+        """Renew the leases of `robots` no longer, without returning them: another operator gets them next."""
+        for robot in robots:
+            self._wanted.pop(robot, None)
 
     def release(self, robots: Iterable[str] | None = None) -> None:
         """Release `robots`; None: all. With a group all its robots are released: only the core knows its members."""
@@ -115,15 +129,16 @@ class LeaseHolder:
         self._timer.cancel()
         self._subscription.close()
 
-    def _ask(self, robots: tuple[str, ...], *, hold: bool, take: bool = False) -> None:
-        request = LeaseRequest(operator=self.name, robots=robots, hold=hold, take=take)
+    def _ask(self, robots: tuple[str, ...], *, hold: bool, take: bool = False, given_by: str = "") -> None:
+        request = LeaseRequest(operator=self.name, robots=robots, hold=hold, take=take, given_by=given_by)
         self._bus.publish(self._keys.lease_request, request)
 
     def _renew(self) -> None:
-        for take in (False, True):
-            robots = tuple(robot for robot, claim in self._wanted.items() if claim.take is take)
-            if robots:
-                self._ask(robots, hold=True, take=take)
+        wanted: dict[tuple[bool, str], list[str]] = {}
+        for robot, claim in self._wanted.items():
+            wanted.setdefault((claim.take, claim.given_by), []).append(robot)
+        for (take, given_by), robots in wanted.items():
+            self._ask(tuple(robots), hold=True, take=take, given_by=given_by)
 
     def _on_leases(self, message: Leases) -> None:
         restarted = self.received and message.core != self._core
@@ -175,7 +190,7 @@ class LeaseHolder:
             if lease is None:
                 continue  # the core was restarted, or has not received it yet
             if lease.operator == self.name:
-                claim.held, claim.take = True, False
+                claim.held, claim.take, claim.given_by = True, False, ""
             elif claim.held or now_s - claim.asked_s >= SETTLE_S:
                 del self._wanted[robot]
                 (lost if claim.held else refused).setdefault(lease.operator, []).append(robot)

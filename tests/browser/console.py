@@ -31,15 +31,17 @@ new PerformanceObserver((list) => {
   }
 }).observe({ type: "layout-shift", buffered: true });
 """
+RETURNING = "try { localStorage.setItem('guide', 'seen'); } catch {}"
+"""The guide for a first visit is not shown, except to tests of it; a blank page has no storage."""
 
 
 class Console:
     """One page of the web console, and all that went wrong in it."""
 
-    def __init__(self, page: Page, address: str) -> None:
+    def __init__(self, page: Page, address: str, *, first_visit: bool = False) -> None:
         self.page = page
         self.errors: list[str] = []
-        page.add_init_script(SHIFTS)
+        page.add_init_script(SHIFTS if first_visit else SHIFTS + RETURNING)
         page.on("console", self._heard)
         page.on("pageerror", lambda error: self.errors.append(f"uncaught: {error}"))
         page.on("response", self._answered)

@@ -9,7 +9,7 @@
   performance.now = () => now_ms() + skipped_ms;
   const swarm = {
     robots: options.robots, silent: [], trouble: {}, estop: [], behaviour: "flocking_bc", moving: true, leases: [],
-    missions: [], mute: false,
+    missions: [], people: [], offers: [], mute: false,
   };
   let line = null;
 
@@ -83,6 +83,8 @@
       this.say(states());
       this.say({ t: "leases", leases: swarm.leases });
       this.say({ t: "missions", missions: swarm.missions });
+      this.say({ t: "presence", people: swarm.people, here: swarm.people.filter(({ pages }) => pages).length, more: 0 });
+      this.say({ t: "offers", offers: swarm.offers });
       const at = now_s();
       this.say({ t: "chart", row: [at, at, Math.min(1, at / 1000), 2] });
       this.say({ t: "event", event: { at, kind: "request", text: "flocking" } });

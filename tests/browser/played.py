@@ -36,13 +36,15 @@ def serve(route: Route) -> None:
     route.fulfill(body=file.read_bytes(), content_type=TYPES[file.suffix], headers=HEADERS)
 
 
-def play(browser: Browser, size: ViewportSize, robots: int = 8, **options: Any) -> Console:
+def play(
+    browser: Browser, size: ViewportSize, robots: int = 8, *, first_visit: bool = False, **options: Any
+) -> Console:
     """Open the page before a played console with some robots; `options` are those of the browser's context."""
     context = browser.new_context(viewport=size, **options)
     page = context.new_page()
     page.route(f"{ADDRESS}**", serve)
     page.add_init_script(f"({SCRIPT.read_text()})({json.dumps({'robots': robots, 'behaviours': behaviours()})})")
-    console = Console(page, ADDRESS)
+    console = Console(page, ADDRESS, first_visit=first_visit)
     console.until(lambda: len(console.state["robots"]) == robots, 15.0, "all robots are on the map")
     return console
 

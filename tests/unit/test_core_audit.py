@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -166,6 +167,20 @@ def test_leases_and_take_overs(swarm: Recorded) -> None:
     assert ("lease", ANNA, ["r0", "r1"], {}) in found
     assert ("take_over", BEN, ["r0"], {"from": ANNA}) in found
     assert ("lease_end", ANNA, ["r1"], {}) in found
+
+
+def test_a_hand_over_is_told_from_a_take_over(swarm: Recorded) -> None:
+    def ask(operator: str, *robots: str, **fields: Any) -> None:
+        request = LeaseRequest(operator=operator, robots=robots, hold=True, **fields)
+        swarm.operators.publish(KEYS.lease_request, request)
+        swarm.run(0.1)
+
+    ask(ANNA, "r0", "r1")
+    ask(BEN, "r0", take=True, given_by=ANNA)
+    ask(BEN, "r1", take=True)
+    found = [(each["act"], each["operator"], each["robots"], each["what"]) for each in swarm.entries()]
+    assert ("hand_over", BEN, ["r0"], {"from": ANNA}) in found
+    assert ("take_over", BEN, ["r1"], {"from": ANNA}) in found
 
 
 def test_missions_and_parameters(swarm: Recorded) -> None:

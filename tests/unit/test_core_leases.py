@@ -107,6 +107,16 @@ def test_taking_over_with_a_request_gives_the_lease(swarm: Table) -> None:
     assert swarm.holders == {}, "it was not renewed"
 
 
+def test_what_is_handed_over_is_taken_from_the_giver_only(swarm: Table) -> None:
+    swarm.hold(ANNA, "r0")
+    swarm.hold("carl@lab", "r1")
+    request = LeaseRequest(operator=BOB, robots=("r0", "r1", "r2"), hold=True, take=True, given_by=ANNA)
+    swarm.bus.publish(KEYS.lease_request, request)
+    swarm.run(0.01)
+    assert swarm.holders == {"r0": BOB, "r1": "carl@lab", "r2": BOB}
+    assert swarm.leases["r0"].taken_from == ANNA
+
+
 def test_a_take_over_that_is_wrong_otherwise_takes_nothing(swarm: Table) -> None:
     swarm.hold(BOB, "r0")
     request = BehaviourRequest(

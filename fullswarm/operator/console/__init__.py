@@ -7,6 +7,8 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 
 ``gateway.py``   connects the bus to the pages: subscriptions, frames and their rates; read this first
 ``sessions.py``  carries out what one operator does: requests, driving, leases, stops
+``handover.py``  hands robots over from one operator to another: offers, and what becomes of them
+``presence.py``  tells which operators are here, and which robots they hold and drive
 ``undo.py``      plans what undoes an operator's newest request
 ``world.py``     mirrors the core's database: arena, behaviours, groups, places, orders of the robots
 ``detail.py``    samples all robots, and shows the details of those whose pane is open
@@ -52,6 +54,9 @@ of ``index.html`` and a line in ``main.js``:
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
 ``summary.js``    the fleet in words
 ``camera.js``     the pictures of the cameras
+``people.js``      the operators on this console, and hand-over; ``people.css``: looks of it, of guide and log filter
+``guide.js``       the guide for the first minute; ``tips.js``: tooltips
+``logfilter.js``   which lines of the log are shown
 ``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``labels.js``     where labels go: beside their robots, never over a robot or another label

@@ -173,6 +173,15 @@ class Keep(Frame, frozen=True, kw_only=True):
     value: dict[str, Any] | None = None
 
 
+class HandOver(Frame, frozen=True, kw_only=True):
+    """Offer robots to the operator `to`; withdraw, accept or decline the offer with an id."""
+
+    op: Literal["offer", "withdraw", "accept", "decline"]
+    to: Annotated[str, Meta(max_length=128)] = ""
+    robots: Annotated[tuple[Name, ...], Meta(max_length=1024)] = ()
+    id: Annotated[str, Meta(max_length=32)] = ""
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
@@ -180,7 +189,7 @@ class Ping(Frame, frozen=True, kw_only=True):
 Past = Look | Mark | Clip
 Command = (
     Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Inspect | Undo
-    | Group | Keep | Ping
+    | Group | Keep | HandOver | Ping
 )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,10 +35,12 @@ from fullswarm.operator.console.cameras import Cameras
 from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.detail import DETAIL_HZ, Details
 from fullswarm.operator.console.fleet import CHART_NAMES, CHART_RATE_HZ, Charts
+from fullswarm.operator.console.handover import HandOvers, Surroundings
 from fullswarm.operator.console.history import History
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, named
 from fullswarm.operator.console.map import TRAIL_RATE_HZ, Coverage, Goals, HeldBack, Obstacles, Trails
 from fullswarm.operator.console.missions import MissionBoard
+from fullswarm.operator.console.presence import Presence
 from fullswarm.operator.console.sessions import ConsoleContext, Listener, OperatorSession
 from fullswarm.operator.console.stops import EStopTracker, StopTracker
 from fullswarm.operator.console.study import PLAN, StudyDesk, Swarm, TrialPlan, read_plan
@@ -46,7 +49,7 @@ from fullswarm.operator.console.tokens import Role
 from fullswarm.operator.console.undo import Asked, Known
 from fullswarm.operator.console.world import World
 from fullswarm.operator.missions import MissionClient
-from fullswarm.operator.view import FleetView
+from fullswarm.operator.view import LEASES_S, FleetView
 from fullswarm.runtime import Scheduler
 
 STATE_HZ, CHANGES_HZ, FLEET_HZ, MAP_HZ = 20.0, 10.0, 4.0, 1.0
@@ -122,15 +125,23 @@ class Gateway:
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,
             self._new_desk(bus, wall_s), self.timeline.handle,
             Known(self._asked, self._world.orders, self._world.record, self._world.title), self._note,
+            lambda command, session: self._hand_overs.handle(command, session),
         )  # fmt: skip
         self._desk = self._context.study
+        self._presence = Presence(self._sessions.values, self._holders, wall_s)
+        self._hand_overs = HandOvers(
+            Surroundings(
+                scheduler.now_s, self._sessions.values, self._holders, self._runs, self._note_lease,
+                lambda giver, taker, robots: self._changes.hands_over(giver, taker, robots),
+            )
+        )  # fmt: skip
         self._log_entries = EventLog(wall_s, self._send_entry)
         self._requests = RequestLog(self._log_entries, self._world.expires, self._world.title)
         self._details = Details(wall_s)
         self._changes = ChangeLog(self._log_entries)
         self._coverage, self._obstacles, self._held_back = Coverage(), Obstacles(), HeldBack()
         self._estops, self._stops = EStopTracker(scheduler, self.view.present, self._name_of), StopTracker()
-        self._leases, self._missions = Leases(leases=()), MissionBoard()
+        self._leases, self._leases_s, self._missions = Leases(leases=()), -math.inf, MissionBoard()
         self._cameras = Cameras()
         self._subscriptions = [
             bus.subscribe(keys.behaviour_request, BehaviourRequest, self._on_request),
@@ -274,6 +285,8 @@ class Gateway:
             "estop": self._estops.shown,
             "study": lambda: self._study_frame(session),
             "undo": session.undo.shown,
+            "presence": lambda: None if self._desk is not None else self._presence.shown(),
+            "offers": lambda: self._hand_overs.shown(session),
             "events": self.timeline.events,
             "timeline": self.timeline.shown,
             "bookmarks": self.timeline.bookmarks,
@@ -373,6 +386,8 @@ class Gateway:
             self._cameras.changed = False
             with self._drawing("cameras"):
                 self._send(self._cameras.shown())
+        with self._drawing("offers"):
+            self._hand_overs.check()
         if "world" in changed:
             with self._drawing("world"):
                 self._send({"t": "world", **self._world_frame()})
@@ -393,6 +408,10 @@ class Gateway:
         if self._sessions or self.timeline.history.wants("fleet", now_s):
             with self._drawing("fleet"):
                 self._send(fleet.fleet(seen, now_s))
+        if self._sessions and self._desk is None:
+            with self._drawing("presence"):
+                if frame := self._presence.changed_frame():
+                    self._send(frame)
 
     def _sample_trails(self) -> None:
         with self._drawing("trails"):
@@ -456,6 +475,22 @@ class Gateway:
 
     def _note(self, text: str, by: str) -> None:
         self._log_entries.add(self._scheduler.now_s(), "request", text, by=by)
+
+    # ---------------------------------------------------------------- operators and hand-over
+    def _holders(self) -> Mapping[str, str]:
+        """Return robot → operator; nothing while the core does not report."""
+        if self._scheduler.now_s() - self._leases_s > LEASES_S:
+            return {}
+        return {lease.robot: lease.operator for lease in self._leases.leases}
+
+    def _runs(self, robots: tuple[str, ...]) -> str:
+        """Return the titles of what robots were asked for."""
+        orders = self._world.orders()
+        keys = dict.fromkeys(str(orders[robot].get("behaviour", "")) for robot in robots if robot in orders)
+        return ", ".join(self._world.title(key) for key in keys if key)
+
+    def _note_lease(self, text: str, by: str, robots: tuple[str, ...]) -> None:
+        self._log_entries.add(self._scheduler.now_s(), "lease", text, robots, by=by)
 
     # ---------------------------------------------------------------- a study
     def _new_desk(self, bus: Bus, wall_s: Callable[[], float]) -> StudyDesk | None:
@@ -579,7 +614,7 @@ class Gateway:
             self._estops.add_receipt(receipt)
 
     def _on_leases(self, leases: Leases) -> None:
-        self._leases = leases
+        self._leases, self._leases_s = leases, self._scheduler.now_s()
         with self._drawing("leases"):
             now_s = self._scheduler.now_s()
             if self._changes.leased(leases.leases, now_s):
@@ -590,7 +625,13 @@ class Gateway:
         now_s = self._scheduler.now_s()
         with self._drawing("missions"):
             if text := self._missions.add(status, now_s):
-                self._log_entries.add(now_s, "mission", text, by=status.operator)
+                robots = tuple(
+                    dict.fromkeys(robot for track in status.tracks for step in track.steps for robot in step.robots)
+                )
+                failed = status.phase == "failed"
+                self._log_entries.add(
+                    now_s, "mission", text, robots, by=status.operator, severity="error" if failed else None
+                )
 
     def _on_camera(self, message: CameraPicture) -> None:
         with self._drawing("camera"):

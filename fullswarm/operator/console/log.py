@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal
@@ -19,6 +19,12 @@ from fullswarm.recent import Recent
 LOG_LENGTH = 200
 
 LogKind = Literal["request", "refused", "stop", "estop", "mission", "lease", "link", "reload", "fault"]
+Severity = Literal["info", "warning", "error"]
+SEVERITIES: dict[LogKind, Severity] = {
+    "request": "info", "refused": "warning", "stop": "warning", "estop": "error", "mission": "info", "lease": "info",
+    "link": "warning", "reload": "info", "fault": "error",
+}  # fmt: skip
+"""What a line of each kind is unless it says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +40,7 @@ class Entry:
     by: str = ""
     number: int = 0
     count: int = 1
+    severity: Severity = "info"
 
     def shown(self, reader: str) -> dict[str, Any]:
         """Return it as operator `reader` sees it."""
@@ -44,6 +51,8 @@ class Entry:
             "text": self.text,
             "robots": self.robots,
             "request_id": self.request_id,
+            "by": self.by,
+            "severity": self.severity,
             "mine": bool(reader) and self.by == reader,
             "number": self.number,
             "count": self.count,
@@ -66,11 +75,16 @@ class EventLog:
         *,
         request_id: str = "",
         by: str = "",
+        severity: Severity | None = None,
     ) -> None:
-        """Write a line. The same refusal again moves its line to the end and counts."""
+        """Write a line, of the severity of its kind unless another is given.
+
+        The same refusal again moves its line to the end and counts.
+        """
         clock = f"{datetime.fromtimestamp(self._wall_s()):%H:%M:%S}"
         self._last += 1
-        entry = Entry(at_s, clock, kind, text[:500], robots, request_id, by, self._last)
+        rank = severity or SEVERITIES[kind]
+        entry = Entry(at_s, clock, kind, text[:500], robots, request_id, by, self._last, severity=rank)
         if kind == "refused" and (before := self._same(entry)):
             self.entries.remove(before)
             entry = replace(entry, number=before.number, count=before.count + 1)
@@ -293,6 +307,8 @@ class ChangeLog:
     _silent: dict[str, bool] = field(default_factory=dict)
     _faults: dict[str, str] = field(default_factory=dict)
     _leases: dict[str, str] = field(default_factory=dict)
+    # taker → giver, robots
+    _handed: Recent[str, tuple[str, frozenset[str]]] = field(default_factory=lambda: Recent(REMEMBERED))
     # file → problem, hosts that reported it
     _reloads: Recent[str, tuple[str, set[str]]] = field(default_factory=lambda: Recent(REMEMBERED))
     # → phase, end, starts
@@ -303,13 +319,14 @@ class ChangeLog:
         if seen.connected != self._hub:
             if self._hub is not None or not seen.connected:
                 text = "the hub is connected" if seen.connected else "the hub is not connected"
-                self.log.add(now_s, "link", text)
+                self.log.add(now_s, "link", text, severity="info" if seen.connected else "error")
             self._hub = seen.connected
         age_s = core_age_s(seen)
         core = age_s is not None and age_s <= SILENT_S
         if core != self._core:
             if self._core is not None:
-                self.log.add(now_s, "link", "the core is running" if core else "the core is silent")
+                text = "the core is running" if core else "the core is silent"
+                self.log.add(now_s, "link", text, severity="info" if core else "error")
             self._core = core
         self._supervised(seen, now_s)
         self._robots(seen, now_s)
@@ -345,7 +362,8 @@ class ChangeLog:
             self.log.add(now_s, "fault", f"{named(robots)}: {fault}", tuple(robots))
         for robots, text in ((gone, "silent"), (back, "received again")):
             if robots:
-                self.log.add(now_s, "link", f"{named(robots)}: {text}", tuple(robots))
+                severity: Severity = "warning" if robots is gone else "info"
+                self.log.add(now_s, "link", f"{named(robots)}: {text}", tuple(robots), severity=severity)
 
     def reloaded(self, message: FileReload, now_s: float) -> None:
         """Log what became of a file that has changed; the other processes with the same report add nothing."""
@@ -372,9 +390,17 @@ class ChangeLog:
                 taken.setdefault(change, []).append(robot)
         for (old, new), robots in taken.items():
             names = named(robots)
-            text = f"{new} holds {names}" + (f", taken from {old}" if old else "") if new else f"{old} releases {names}"
-            self.log.add(now_s, "lease", text, tuple(robots), by=new or old)
+            if handed := bool(old) and self._handed.get(new) == (old, frozenset(robots)):
+                del self._handed[new]
+            how = "handed over by" if handed else "taken from"
+            text = f"{new} holds {names}" + (f", {how} {old}" if old else "") if new else f"{old} releases {names}"
+            severity: Severity = "warning" if new and old and not handed else "info"
+            self.log.add(now_s, "lease", text, tuple(robots), by=new or old, severity=severity)
         return True
+
+    def hands_over(self, giver: str, taker: str, robots: Iterable[str]) -> None:
+        """Note that robots are handed over: that the taker holds them next is no take-over."""
+        self._handed[taker] = giver, frozenset(robots)
 
 
 def _fault(health: RobotHealth) -> str:

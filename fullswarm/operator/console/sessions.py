@@ -79,6 +79,7 @@ class ConsoleContext:
     look: Callable[[frames.Past, Listener, str], Answer]  # shows a page the past
     undo: Known
     note: Callable[[str, str], None]  # logs what an operator has changed: text, name
+    hand_over: Callable[[frames.HandOver, OperatorSession], str]  # carries it out, or returns why not
 
 
 class OperatorSession:
@@ -158,7 +159,7 @@ class OperatorSession:
         if isinstance(command, frames.Study):
             reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"
             return Answer(ref=ref, ok=not reason, reason=reason)
-        if desk is not None and isinstance(command, frames.Undo | frames.Group | frames.Keep):
+        if desk is not None and isinstance(command, frames.Undo | frames.Group | frames.Keep | frames.HandOver):
             return Answer(ref=ref, ok=False, reason=IN_STUDY)
         if desk is not None and (reason := desk.refusal(command)):
             return Answer(ref=ref, ok=False, reason=reason)
@@ -201,6 +202,8 @@ class OperatorSession:
                 reason = self._group(command)
             case frames.Keep():
                 reason = self._keep(command)
+            case frames.HandOver():
+                reason = self._context.hand_over(command, self)
             case _:  # an input: only a study takes note of it
                 reason = ""
         return Answer(ref=ref, ok=not reason, reason=reason)
@@ -437,6 +440,23 @@ class OperatorSession:
             return "; ".join(f"{robot} is held by {operator}" for robot, operator in sorted(held.items()))
         self._leases.hold(robots, take=command.take)
         return ""
+
+    def driven(self) -> set[str]:
+        """Return the robots that are driven by hand now."""
+        return set(self._teleop.robots or self._context.present()) if self._teleop.held else set()
+
+    def give(self, robots: tuple[str, ...], taker: str) -> set[str]:
+        """Hold `robots` no longer, which `taker` gets; return those that were driven by hand, which are stopped."""
+        driven = self.driven() & set(robots)
+        if driven:
+            self._block(f"{', '.join(sorted(driven))} handed over to {taker}")
+            self._operator.stop(sorted(driven))  # zeros would be refused once the lease has moved
+        self._leases.forget(robots)
+        return driven
+
+    def take_in(self, robots: tuple[str, ...], giver: str) -> None:
+        """Hold `robots` that `giver` hands over."""
+        self._leases.hold(robots, take=True, given_by=giver)
 
     def _lost(self, robots: tuple[str, ...], operator: str) -> None:
         mine = self._teleop.robots

@@ -82,6 +82,11 @@ export function steered(element) {
   return element instanceof HTMLSelectElement || (element instanceof HTMLInputElement && element.type === "range");
 }
 
+/** Whether fingers are what the page is used with: then its words say "tap". */
+export function touched() {
+  return typeof matchMedia === "function" && matchMedia("(pointer: coarse)").matches;
+}
+
 /**
  * Write "1 robot", "3 robots".
  * @param {number} count

@@ -122,9 +122,11 @@ export class FleetTable {
       lease: make("span", { class: "row-lease", testid: `lease-${id}`, id: `lease-${id}` }),
     };
     const more = make("button", {
-      type: "button", class: "row-more", testid: `details-${id}`, "aria-label": `Details of ${id}`, text: "›",
+      type: "button", class: "row-more", testid: `details-${id}`, "aria-label": `Details of ${id}`, title: `Details of ${id}`, text: "›",
       on: { click: () => this.open(id) },
     });
+    parts.battery.title = "Battery";
+    parts.age.title = "Age of its newest report";
     const element = make(
       "div", { role: "row", class: "row", testid: `robot-row-${id}`, id: `robot-row-${id}` },
       cell("cell-check", check),

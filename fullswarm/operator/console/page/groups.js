@@ -1,6 +1,6 @@
 /** Above the table: the number of selected robots, the groups as buttons, and making a group of the selection. */
 
-import { byId, make, setText } from "./dom.js";
+import { byId, make, setText, touched } from "./dom.js";
 import { short } from "./fleet.js";
 
 const NAME = /^[A-Za-z0-9_-]{1,64}$/;
@@ -114,6 +114,6 @@ export class GroupBar {
 
   #noneSelected() {
     const { ids, group, absent } = this.selection;
-    return absent ? `${short(ids, 4) || group}: not reported` : "click, lasso, or tick robots";
+    return absent ? `${short(ids, 4) || group}: not reported` : `${touched() ? "tap" : "click"}, lasso, or tick robots`;
   }
 }

@@ -8,7 +8,8 @@
  * panels    fleet.js (table), attention.js (the strip above it), groups.js, detail.js (one robot; facts.js), panel.js
  *           (behaviours; field.js, forms.js, refusals.js, saved.js, places.js), missions.js, charts.js, log.js, legend.js, camera.js, banners.js,
  *           study.js (the dialogs of a study); words.js (words for people), summary.js (the fleet in words, spoken),
- *           layout.js (tabs, menus)
+ *           layout.js (tabs, menus), logfilter.js (which lines of the log), people.js (operators, hand-over), guide.js (the first
+ *           minute), tips.js (tooltips)
  * map       map.js (the loop), underlay.js, ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js,
  *           pointer.js, toolbar.js, viewport.js, geometry.js, palette.js, theme.js
  * time      past.js (plays the past into the store that is shown), timeline.js (the bar below the map),
@@ -27,6 +28,7 @@ import { DetailPane } from "./detail.js";
 import { ArrowDrive, Driver, Pad } from "./drive.js";
 import { FleetTable } from "./fleet.js";
 import { GroupBar } from "./groups.js";
+import { Guide } from "./guide.js";
 import { Keyboard } from "./keyboard.js";
 import { Layout } from "./layout.js";
 import { Legend } from "./legend.js";
@@ -38,6 +40,7 @@ import { Missions } from "./missions.js";
 import { Panel } from "./panel.js";
 import { Past } from "./past.js";
 import { Places } from "./places.js";
+import { People } from "./people.js";
 import { Pointer } from "./pointer.js";
 import { SavedRequests } from "./saved.js";
 import { Selection } from "./selection.js";
@@ -49,6 +52,7 @@ import { Study } from "./study.js";
 import { Summary } from "./summary.js";
 import { Theme } from "./theme.js";
 import { TimeBar } from "./timeline.js";
+import { addTips } from "./tips.js";
 import { Toolbar } from "./toolbar.js";
 import { rulerWords, Tools } from "./tools.js";
 import { Underlay } from "./underlay.js";
@@ -91,7 +95,7 @@ tools.on("open", openDetail);
 new FleetTable({ store, selection, commands, link, open: openDetail });
 new Legend(store);
 new Charts(store, theme);
-new LogView(store);
+new LogView(store, selection);
 new Summary(store);
 new Signals(present, banners);
 new Missions({ store, commands });
@@ -100,6 +104,9 @@ new Study({ store: present, link, selection, map, tools });
 const timeBar = new TimeBar({ past, present, commands });
 new Marks({ past, present, link, bar: timeBar });
 new Layout(() => stick.end());
+new People({ store: present, selection, commands, hint: (words) => banners.hint(words) });
+const guide = new Guide({ present, selection, stops });
+addTips(document);
 
 link.on("message", (message) => {
   if (past.live) store.apply(message);
@@ -163,6 +170,7 @@ byId("help-close").addEventListener("click", () => toggleHelp(false));
 
 function escape() {
   if (!help.hidden) toggleHelp(false);
+  else if (guide.open) guide.close();
   else if (detail.focused) detail.close();
   else if (tools.mode !== "select") tools.use("select");
   else selection.clear();

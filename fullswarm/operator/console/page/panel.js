@@ -87,7 +87,7 @@ export class Panel extends Emitter {
 
   #emptyText() {
     if (Object.keys(this.store.behaviours).length) return "No behaviour fits this search.";
-    return "No behaviours yet: none received from the core. Is it running?";
+    return "No behaviours yet: the core lists them, and has not been received. If the state at the top left stays at “core is silent”, start the swarm in a shell: fullswarm up FILE.toml.";
   }
 
   /**

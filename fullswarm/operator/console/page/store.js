@@ -5,6 +5,7 @@ import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
+/** @import { HandOverFrame, OffersFrame, PresenceFrame } from "./types.d.ts" */
 /** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Detail, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Place, Point, RequestStatus, Robot, SavedRequest, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
 
 const COUNTED = new Intl.Collator("en", { numeric: true }); // ten times as fast as localeCompare
@@ -14,14 +15,15 @@ const CHART_KEPT = 1200;
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
  * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study,
- * underlay, cameras, picture, undo, detail; timeline, history, events (all), event, bookmarks, clip.
+ * underlay, cameras, picture, undo, detail, presence, offers, handover; timeline, history, events (all), event, bookmarks, clip.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
  *   goals: Store["goals"], docks: Dock[], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
  *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study,
  *   underlay: UnderlayFrame, cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string},
  *   undo: UndoFrame, detail: Detail, timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
- *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame}>}
+ *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame,
+ *   presence: PresenceFrame, offers: OffersFrame, handover: HandOverFrame}>}
  */
 export class Store extends Emitter {
   constructor() {
@@ -155,6 +157,9 @@ export class Store extends Emitter {
     clip: (message) => this.emit("clip", message),
     undo: (message) => this.emit("undo", message),
     detail: (message) => this.emit("detail", message),
+    presence: (message) => this.emit("presence", message),
+    offers: (message) => this.emit("offers", message),
+    handover: (message) => this.emit("handover", message),
   });
 
   /**

@@ -115,6 +115,8 @@ export interface Entry {
   text: string;
   robots: string[];
   request_id: string;
+  by: string; // the operator that caused it; empty: none did
+  severity: string; // info, warning, error
   mine: boolean;
   number: number; // the same if the line is repeated
   count: number;
@@ -377,6 +379,33 @@ export interface History {
   frames: [at_s: number, frame: Message | { t: "trails"; robots: Record<string, number[][]> }][];
 }
 
+/** An operator: on this console with some pages, or elsewhere (none) and holding robots. */
+export interface Person {
+  name: string;
+  role: string;
+  pages: number;
+  clock: string; // since when
+  holds: string[]; // the first of `holding`
+  holding: number;
+  drives: string[];
+}
+
+export type PresenceFrame = { t: "presence"; people: Person[]; here: number; more: number };
+
+/** Robots that one operator offers to another; `runs`: what they do, in words. */
+export interface Offer {
+  id: string;
+  from: string;
+  to: string;
+  robots: string[];
+  runs: string;
+  left_s: number;
+  mine: boolean; // made by this operator
+}
+
+export type OffersFrame = { t: "offers"; offers: Offer[] };
+export type HandOverFrame = { t: "handover"; outcome: string; words: string }; // how an offer has ended
+
 export type Message =
   | Hello
   | (World & { t: "world" })
@@ -406,6 +435,9 @@ export type Message =
   | ClipFrame
   | UndoFrame
   | Detail
+  | PresenceFrame
+  | OffersFrame
+  | HandOverFrame
   | Lost;
 
 declare global {
