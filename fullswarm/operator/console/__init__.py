@@ -10,7 +10,10 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``undo.py``      plans what undoes an operator's newest request
 ``world.py``     mirrors the core's database: arena, behaviours, groups, orders of the robots
 ``detail.py``    samples all robots, and shows the details of those whose pane is open
-``fleet.py``     the table of robots, the chart of metrics, the states
+``fields.py``    the numbers of a robot that can be charted: titles, units, meanings
+``samples.py``   keeps these numbers and the metrics over time, bounded
+``charts.py``    sends pages the charts that they show, of now and of the past
+``fleet.py``     the table of robots, the states
 ``map.py``       trails, goals, obstacles, covered cells, robots that the filter holds back
 ``log.py``       the log: requests and outcomes, leases, changes of hub, core and robots
 ``stops.py``     tracks e-stops and stops: which robots have confirmed
@@ -51,7 +54,9 @@ of ``index.html`` and a line in ``main.js``:
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
 ``summary.js``    the fleet in words
 ``camera.js``     the pictures of the cameras
-``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
+``charts.js``     the charts, kept in the address; ``series.js``: what is charted, ``plot.js``: one chart,
+                  ``chartform.js``: the form that chooses, ``charts.css``: their looks
+``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``labels.js``     where labels go: beside their robots, never over a robot or another label
 ``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers
