@@ -219,6 +219,6 @@ def log(console: Console) -> Iterator[None]:
 
 STATES: dict[str, State] = {
     "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
-    "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts, "chart form": chart_form, "lines": lines,
-    "log": log,
+    "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts,
+    "lines": lines, "chart form": chart_form, "log": log,
 }  # fmt: skip

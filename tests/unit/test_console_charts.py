@@ -166,7 +166,7 @@ def test_values_beyond_a_float_are_unknown() -> None:
 def test_a_band_is_least_median_and_largest_of_the_known(lines: list[list[float | None]]) -> None:
     values = np.array([[math.nan if each is None else each for each in line] for line in lines], float)
     for column, found in enumerate(band(values).T.tolist()):
-        known = [line[column] for line in lines if line[column] is not None]
+        known = [each for line in lines if (each := line[column]) is not None]
         if known:
             assert found == pytest.approx([min(known), statistics.median(known), max(known)])
         else:
