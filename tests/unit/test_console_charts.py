@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -20,6 +21,7 @@ from fullswarm.operator.console.samples import DEFAULT, Samples
 from fullswarm.operator.view import RobotRow
 from fullswarm.perf.metrics import COVERAGE_DOC, METRICS, SHAPE_DOC, describe
 from tests.unit.console_bench import KEYS, ConsoleBench, Page, health
+from tests.unit.study_lab import StudyBench, plan
 
 KNOWN = st.floats(-100.0, 100.0, width=32)
 
@@ -355,6 +357,17 @@ def test_whoever_only_looks_on_has_charts() -> None:
     live(bench, 1.0)
     page, session = bench.join()
     assert ask(bench, page, session, "speed")["charts"][0]["lines"] == ["r1", "r2", "r3"]
+
+
+def test_in_a_study_there_are_only_the_charts_that_all_have(tmp_path: Path) -> None:
+    bench = StudyBench(tmp_path, plan())
+    live(bench, 1.0)
+    page, session = bench.join()
+    assert len(ask(bench, page, session, *DEFAULT)["charts"]) == 3
+    others: list[dict[str, Any]] = [{"charts": [{"of": "speed"}]}, {"charts": [{"of": DEFAULT[0]}], "at": 101.0}]
+    for more in others:
+        answer = bench.say(session, page, "charts", **more)
+        assert (answer["ok"], answer["reason"]) == (False, "this is not offered in a study")
 
 
 class SlowScheduler:

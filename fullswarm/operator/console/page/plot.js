@@ -42,12 +42,13 @@ export class Plot {
   #drawnAs = ""; // what the lines of the plot were made for
   #dark = false;
   #now = "now";
+  #drawn = /** @type {{times: (number | null)[], values: (number | null)[][]}} */ ({ times: [], values: [] });
   #pointed = /** @type {number | null} */ (null); // seconds before the end that the cursor is at, by keys
 
-  /** What is shown, for tests: times in s of the console's clock, values in the unit. */
+  /** What is drawn, for tests: times in s of the console's clock, values in the unit. */
   get shown() {
-    const { lines, times, why } = this.data;
-    return { of: this.about.name, title: this.title, unit: this.about.unit, lines, times, values: this.#scaled(), why: this.why.hidden ? "" : why };
+    const { lines, why } = this.data;
+    return { of: this.about.name, title: this.title, unit: this.about.unit, lines, ...this.#drawn, why: this.why.hidden ? "" : why };
   }
 
   /**
@@ -98,6 +99,7 @@ export class Plot {
     while (last > 0 && times[last - 1] > end_s) last -= 1;
     const cut = (/** @type {(number | null)[]} */ line) => (first < 0 ? [] : line.slice(first, last));
     const values = this.#scaled().map(cut);
+    this.#drawn = { times: cut(times), values };
     const known = values.some((line) => line.some((value) => value !== null));
     this.why.hidden = known;
     setText(this.why, why || "no data yet");
@@ -105,7 +107,7 @@ export class Plot {
     this.#words(values, known);
     if (!known || !this.holder.clientWidth) return;
     this.#build(dark);
-    const seconds = cut(times).map((time) => /** @type {number} */ (time) - end_s);
+    const seconds = this.#drawn.times.map((time) => /** @type {number} */ (time) - end_s);
     this.#plot?.setData(/** @type {uPlot.AlignedData} */ ([seconds, ...values]));
     setFlag(this.holder, "aria-valuemin", Math.round(seconds[0] ?? 0));
     if (this.#pointed !== null) this.#point(this.#pointed);
