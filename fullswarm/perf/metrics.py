@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from fullswarm.keys import TRUTH
+
 Restart = Literal["add", "least", "most", "newest"]
 """What becomes of a robot's value when its agent is started again: counters add up, extremes stay, states do not."""
 
@@ -170,3 +172,41 @@ SHAPE_DOC = {
     "voronoi_m2": "mean over the arena of the squared distance to the nearest robot (Lloyd's cost over the area)",
 }
 """The swarm's shape now, from x_m, y_m and heading_rad of all robots: see `perf/shape.py`."""
+
+COVERAGE_DOC = {
+    "fraction": ("%", "share of the arena that was covered by any robot so far"),
+    "area_m2": ("m²", "area that was covered by any robot so far"),
+    "cells": ("", "cells of the grid that were covered by any robot so far"),
+    "refused_hosts": ("", "hosts whose grid differs from the others' and is left out"),
+}
+"""Unit and meaning of what ``coverage`` has, see `perf/coverage.py`."""
+_SHAPE_UNITS = {"order": "", "spacing_m": "m", "diameter_m": "m", "voronoi_m2": "m²"}
+_RULES = {
+    "sum": "sum over all robots", "mean": "mean of all robots", "max": "largest of all robots",
+    "min": "smallest of all robots", "share": "share of the robots that have one", "rms": "root mean square",
+    "count": "robots that have one", "positive": "robots that have one above zero",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """What a number of a summary is: its unit (% for a share from 0 to 1) and meaning."""
+
+    unit: str
+    doc: str
+
+
+def describe(metric: str, quantity: str) -> Quantity | None:
+    """Return what a quantity of a summary is; None: it is in no table here."""
+    if quantity.startswith(f"{TRUTH}_"):
+        found = describe(metric, quantity.removeprefix(f"{TRUTH}_"))
+        return found and Quantity(found.unit, f"{found.doc}; as a supervisory process measured it")
+    if metric == "coverage" and quantity in COVERAGE_DOC:
+        return Quantity(*COVERAGE_DOC[quantity])
+    if metric == SHAPE and quantity in SHAPE_DOC:
+        return Quantity(_SHAPE_UNITS[quantity], SHAPE_DOC[quantity])
+    if metric not in METRICS or quantity not in METRICS[metric].quantities:
+        return None
+    rule, name = METRICS[metric].quantities[quantity]
+    unit = {"share": "%", "count": "", "positive": ""}.get(rule, COLUMNS[name].unit)
+    return Quantity(unit, f"{METRICS[metric].doc}. {_RULES[rule].capitalize()}: {COLUMNS[name].doc}")

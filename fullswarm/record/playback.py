@@ -26,10 +26,12 @@ from fullswarm.keys import Keys
 from fullswarm.messages import Message as BusMessage
 from fullswarm.messages import ParamEntry, ParamReply, ParamRequest
 from fullswarm.operator.console import frames
+from fullswarm.operator.console.charts import ChartDesk
 from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.frames import Answer
 from fullswarm.operator.console.gateway import Gateway, Identity, StampedTrails
 from fullswarm.operator.console.history import History, Limits
+from fullswarm.operator.console.samples import Samples
 from fullswarm.operator.console.sessions import Listener, refusal_of
 from fullswarm.operator.console.timeline import About, Timeline
 from fullswarm.operator.console.tokens import Role
@@ -43,7 +45,7 @@ SLICE_S = 0.02
 PAUSE_S = 0.001
 SHOW_S = 0.25
 """How often pages are told what has been read: also a sign of life."""
-LIMITS = Limits(seconds=math.inf, bytes=4_000_000_000, entries=20_000, rows=100_000)
+LIMITS = Limits(seconds=math.inf, bytes=4_000_000_000, entries=20_000)
 FLEET = "fleet.toml"
 NO_ROBOTS = "this is a recording: there are no robots to command"
 
@@ -168,6 +170,8 @@ class PlaybackSession:
 
     def handle(self, command: frames.Command, listener: Listener) -> Answer:
         """Carry out a frame: only the past can be asked for."""
+        if isinstance(command, frames.Charts):
+            return self.playback.charts.handle(command, listener)
         if isinstance(command, frames.Ping | frames.Release | frames.Input):
             return Answer(ref=command.ref)
         if isinstance(command, frames.Look):
@@ -221,8 +225,11 @@ class Playback:
 
         identity = Identity("", "playback", __version__, read_only=True)
         self._gateway = Gateway(
-            self._bus, keys, self._runtime, identity, lambda: self._wall_s(self._runtime.now_s()), new_history
-        )
+            self._bus, keys, self._runtime, identity, lambda: self._wall_s(self._runtime.now_s()), new_history,
+            Samples(math.inf),
+        )  # fmt: skip
+        self.charts = ChartDesk(self._gateway.samples, scheduler)
+        self._names_sent = 0
         history = self._gateway.timeline.history
         self.timeline = Timeline(
             history,
@@ -246,7 +253,7 @@ class Playback:
             "t": "hello", "swarm": self._keys.swarm, "version": __version__, "read_only": True, "operator": name,
             "icons": dict(self._icons),
         }  # fmt: skip
-        for frame in (hello, self.timeline.events(), self._shown(), self.timeline.bookmarks()):
+        for frame in (hello, self.timeline.events(), self._shown(), self.timeline.bookmarks(), self.charts.catalogue()):
             listener.put(frame["t"], frames.encode(frame))
         self._listeners.append(listener)
         return PlaybackSession(self, listener, name, role)
@@ -254,6 +261,7 @@ class Playback:
     def leave(self, session: PlaybackSession, listener: Listener) -> None:
         """Forget a page."""
         self.timeline.leave(listener)
+        self.charts.leave(listener)
         if session.listener in self._listeners:
             self._listeners.remove(session.listener)
 
@@ -266,6 +274,7 @@ class Playback:
         self._done = True
         self._timer.cancel()
         self.timeline.close()
+        self.charts.close()
         self._gateway.close()
         self._shelf.close()
 
@@ -283,6 +292,9 @@ class Playback:
         if count != self._events_sent:
             self._events_sent = count
             self._send(self.timeline.events())
+        if len(self._gateway.samples.names) != self._names_sent:
+            self._names_sent = len(self._gateway.samples.names)
+            self._send(self.charts.catalogue())
 
     def _wall_s(self, at_s: float) -> float:
         return 1e-9 * self.recorded.first_ns + at_s

@@ -12,6 +12,7 @@
     missions: [], people: [], offers: [], mute: false,
   };
   let line = null;
+  let asked = null; // the newest frame `charts`
 
   const ids = () => Array.from({ length: swarm.robots }, (_, k) => `r${k + 1}`);
   const now_s = () => performance.now() / 1000 + 100;
@@ -47,6 +48,34 @@
     };
   }
 
+  const FIELDS = {
+    battery: ["Battery", "%", 100, (robot) => robot.battery], speed: ["Speed", "m/s", 1, (robot, at) => 0.2 + 0.05 * Math.sin(at / 20 + robot.age_s * 50)],
+    x: ["Position x", "m", 1, (robot, at) => 3 * Math.sin(at / 60 + robot.age_s * 50)], round_trip: ["Round trip", "s", 1, () => null],
+  };
+  const METRICS = {
+    "work.total_m": ["Work", "m", 1, (at) => at], "coverage.fraction": ["Coverage", "%", 100, (at) => Math.min(1, at / 1000)],
+    "collisions.events": ["Collisions", "", 1, () => 2], "network.delay_max_s": ["Network, delay max", "s", 1, () => 0.012],
+  };
+
+  function catalogue() {
+    const list = (table) => Object.entries(table).map(([name, [title, unit, scale]]) => ({ name, title, unit, scale, doc: `what ${title} is` }));
+    return { t: "catalogue", fields: list(FIELDS), metrics: list(METRICS), lines: 8, most: 6, seconds: 600 };
+  }
+
+  /** A chart of `count` samples, two a second, up to a time. */
+  function drawn({ of, robots }, to, count) {
+    const times = Array.from({ length: count }, (_, k) => to - (count - 1 - k) / 2);
+    if (of in METRICS) return { lines: ["swarm"], band: false, robots: 0, why: "", times, values: [times.map((at) => METRICS[of][3](at))] };
+    if (!(of in FIELDS)) return { lines: [], band: false, robots: 0, why: `there is no '${of}', did you mean 'battery'?`, times: [], values: [] };
+    const all = ids().map(robot).filter((each) => !robots.length || robots.includes(each.robot));
+    const values = all.map((each) => times.map((at) => FIELDS[of][3](each, at)));
+    const why = `no robot reports ${FIELDS[of][0].toLowerCase()}`;
+    if (all.length <= 8) return { lines: all.map((each) => each.robot), band: false, robots: all.length, why, times, values };
+    const columns = times.map((_, k) => values.map((line) => line[k]).sort((a, b) => a - b));
+    const parts = [0, 0.5, 1].map((share) => columns.map((column) => column[Math.round(share * (column.length - 1))]));
+    return { lines: ["least", "median", "largest"], band: true, robots: all.length, why, times, values: parts };
+  }
+
   function timeline() {
     return { t: "timeline", at: now_s(), clock_s: 40000 + now_s(), from: 0, to: now_s(), recording: "", offered: true, read: null };
   }
@@ -67,14 +96,22 @@
       const frame = JSON.parse(text);
       sent.push({ ...frame, at_ms: performance.now() });
       if (frame.t === "hello") return this.#welcome();
+      if (frame.t === "charts") setTimeout(() => this.#chart(frame), 3);
       return setTimeout(() => this.say({ t: "answer", ref: frame.ref, ok: true, reason: "", request_id: "" }), 2);
     }
 
     #welcome() {
       this.say({ t: "hello", swarm: "lab", operator: "anna", read_only: false, ...world() });
       this.say(timeline());
+      this.say(catalogue());
       this.say({ t: "bookmarks", bookmarks: [{ id: "b1", at: now_s(), name: "the first turn", by: "anna" }], clips: "" });
       this.tick();
+    }
+
+    #chart(frame) {
+      asked = frame;
+      const at = frame.at ?? now_s();
+      this.say({ t: "series", ref: frame.ref, at: frame.at, to: at, charts: frame.charts.map((each) => drawn(each, at, 1200)) });
     }
 
     /** What the console sends all the time. */
@@ -86,7 +123,7 @@
       this.say({ t: "presence", people: swarm.people, here: swarm.people.filter(({ pages }) => pages).length, more: 0 });
       this.say({ t: "offers", offers: swarm.offers });
       const at = now_s();
-      this.say({ t: "chart", row: [at, at, Math.min(1, at / 1000), 2] });
+      if (asked) this.say({ t: "rows", ref: asked.ref, to: at, charts: asked.charts.map((each) => drawn(each, at, 1)) });
       this.say({ t: "event", event: { at, kind: "request", text: "flocking" } });
     }
 

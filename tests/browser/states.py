@@ -187,6 +187,31 @@ def charts(console: Console) -> Iterator[None]:
 
 
 @contextmanager
+def chart_form(console: Console) -> Iterator[None]:
+    """It is chosen what a chart shows."""
+    show(console, "charts")
+    console.named("chart-add").click()
+    expect(console.named("chart-submit")).to_be_visible()
+    yield
+    console.named("chart-cancel").click()
+
+
+@contextmanager
+def lines(console: Console) -> Iterator[None]:
+    """A chart has a line for each of eight robots, and its cursor names them."""
+    show(console, "charts")
+    console.named("chart-add").click()
+    console.named("chart-of").select_option("speed")
+    console.named("chart-submit").click()
+    console.named("chart-plot-3").focus()
+    console.page.keyboard.press("Home")
+    expect(console.named("chart-tip-3")).to_contain_text("r8")
+    yield
+    console.named("chart-title-3").click()
+    console.named("chart-remove").click()
+
+
+@contextmanager
 def log(console: Console) -> Iterator[None]:
     show(console, "log")
     yield
@@ -194,5 +219,6 @@ def log(console: Console) -> Iterator[None]:
 
 STATES: dict[str, State] = {
     "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
-    "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts, "log": log,
+    "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts,
+    "lines": lines, "chart form": chart_form, "log": log,
 }  # fmt: skip

@@ -107,6 +107,34 @@ def test_a_recording_plays_at_a_speed_and_stands_still(recording: Console) -> No
     recording.until(lambda: recording.state["time"]["at_s"] == pytest.approx(0.0, abs=0.2), 5.0, "the beginning")
 
 
+def test_chosen_charts_of_a_recording_end_at_the_moment(recording: Console, file: Path) -> None:
+    recording.named("chart-add").click()
+    recording.named("chart-of").select_option("x")
+    recording.named("chart-submit").click()
+    for at_s in (27.0, 6.0, 14.0):
+        look(recording, at_s)
+        _wait_for_end(recording, at_s)
+        chart = recording.state["charts"][3]
+        here = places(file, chart["times"][-1])
+        assert chart["lines"] == sorted(here)
+        assert [line[-1] for line in chart["values"]] == pytest.approx(
+            [here[each][0] for each in sorted(here)], abs=0.05
+        )
+        assert chart["times"][0] < 1.5, "it begins with the recording"
+    recording.named("chart-title-3").click()
+    recording.named("chart-remove").click()
+
+
+def _wait_for_end(console: Console, at_s: float) -> None:
+    """Wait until the chart that was added ends at a moment."""
+
+    def ends() -> bool:
+        times = console.state["charts"][3]["times"]
+        return bool(times) and abs(times[-1] - at_s) <= 0.5
+
+    console.until(ends, 10.0, f"the chart ends at {at_s} s")
+
+
 def test_bookmarks_are_kept_beside_the_recording(recording: Console, file: Path) -> None:
     look(recording, 12.0)
     recording.named("time-more").click()

@@ -12,7 +12,6 @@ from fullswarm.messages import (
     FileReload,
     Interventions,
     SeenObstacles,
-    Summary,
 )
 from fullswarm.operator import robot_state
 from fullswarm.perf.coverage import pack
@@ -36,7 +35,6 @@ def test_a_page_is_greeted_with_the_world_as_the_core_has_it(bench: ConsoleBench
     assert hello["boxes"] == [[5.0, 5.0, 1.0, 2.0, 0.3]]
     assert hello["groups"] == {"scouts": ["r1", "r2"]}
     assert hello["sensing_radius_m"] == 3.0
-    assert hello["history"]["chart_names"] == ["work_m", "coverage", "collisions"]
 
 
 def test_a_default_that_stands_in_the_database_is_filled_in(bench: ConsoleBench) -> None:
@@ -232,18 +230,6 @@ def test_interventions_are_joined_and_expire(bench: ConsoleBench) -> None:
     assert [row[0] for row in page.last("filter")["robots"]] == ["b"]
     bench.run(1.0)
     assert page.last("filter")["robots"] == []
-
-
-def test_charts_and_their_history(bench: ConsoleBench) -> None:
-    page, _ = bench.join()
-    bench.run(1.0)
-    assert page.all("chart") == []
-    bench.bus.publish(KEYS.summary("work"), Summary(metric="work", values={"total_m": 3.25}))
-    bench.bus.publish(KEYS.summary("coverage"), Summary(metric="coverage", values={"fraction": 0.5}))
-    bench.run(1.0)
-    assert page.last("chart")["row"][1:] == [3.25, 0.5, None]
-    later, _ = bench.join("session-2")
-    assert later.frames[0]["history"]["charts"][-1] == page.last("chart")["row"]
 
 
 def grid(host: str, cells: list[tuple[int, int]], rows: int = 4, columns: int = 6) -> CoverageMeasurement:

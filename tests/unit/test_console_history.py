@@ -59,7 +59,7 @@ def test_a_page_looks_back_also_when_no_page_was_open_then(bench: ConsoleBench) 
     assert look(bench, page, session, 103.0)["from"] < 103.0
 
 
-def test_log_and_charts_are_those_up_to_the_segment(bench: ConsoleBench) -> None:
+def test_the_log_is_that_up_to_the_segment(bench: ConsoleBench) -> None:
     page, session = bench.join()
     drive(bench, 5.0)
     assert bench.say(session, page, "stop")["ok"]
@@ -160,13 +160,11 @@ def test_a_segment_ends_when_it_is_full() -> None:
     assert json.loads(kept.segment(0.0))["to"] < 3.0
 
 
-def test_lines_and_rows_are_bounded() -> None:
-    kept = history(entries=100, rows=50)
+def test_lines_are_bounded() -> None:
+    kept = history(entries=100)
     for number in range(1000):
         kept.add_entry(Entry(0.1 * number, "12:00:00", "request", "text"))
-        kept.add_row([0.1 * number, 1.0, None, 0.0])
     assert len(kept.entries) == 100
-    assert len(kept.rows) == 50
 
 
 def test_an_empty_history_has_an_answer() -> None:

@@ -515,7 +515,7 @@ def test_a_page_that_takes_nothing_does_not_hold_up_the_others(folder: Path) -> 
             loop = asyncio.get_running_loop()
             worst_s, before_s = 0.0, loop.time()
             while not gone and loop.time() < before_s + PATIENCE_S + 10.0:
-                served.gateway._send({"t": "chart", "row": ["x" * 100_000]})
+                served.gateway._send({"t": "rows", "charts": ["x" * 100_000]})
                 began_s = loop.time()
                 await good.send('{"t":"ping","ref":1}')
                 await frame(good, "answer")

@@ -12,7 +12,10 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``undo.py``      plans what undoes an operator's newest request
 ``world.py``     mirrors the core's database: arena, behaviours, groups, places, orders of the robots
 ``detail.py``    samples all robots, and shows the details of those whose pane is open
-``fleet.py``     the table of robots, the chart of metrics, the states
+``fields.py``    the numbers of a robot that can be charted: titles, units, meanings
+``samples.py``   keeps these numbers and the metrics over time, bounded
+``charts.py``    sends pages the charts that they show, of now and of the past
+``fleet.py``     the table of robots, the states
 ``map.py``       trails, goals, obstacles, covered cells, robots that the filter holds back
 ``log.py``       the log: requests and outcomes, leases, changes of hub, core and robots
 ``stops.py``     tracks e-stops and stops: which robots have confirmed
@@ -57,7 +60,9 @@ of ``index.html`` and a line in ``main.js``:
 ``people.js``      the operators on this console, and hand-over; ``people.css``: looks of it, of guide and log filter
 ``guide.js``       the guide for the first minute; ``tips.js``: tooltips
 ``logfilter.js``   which lines of the log are shown
-``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
+``charts.js``     the charts, kept in the address; ``series.js``: what is charted, ``plot.js``: one chart,
+                  ``chartform.js``: the form that chooses, ``charts.css``: their looks
+``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``labels.js``     where labels go: beside their robots, never over a robot or another label
 ``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers

@@ -1,21 +1,16 @@
-"""The page's table of robots, its chart of metrics, and the states that its map draws."""
+"""The page's table of robots, and the states that its map draws."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Any
 
-from fullswarm.messages import RobotHealth, Summary
+from fullswarm.messages import RobotHealth
 from fullswarm.operator.robot_state import advise, ended_text, pose_text, row_state
 from fullswarm.operator.view import RobotRow, Snapshot, memory_text
 
 CORE = "core"
-CHART_S, CHART_RATE_HZ = 600.0, 2.0
-CHART_NAMES = ("work_m", "coverage", "collisions")
-_CHARTED = (("work", "total_m"), ("coverage", "fraction"), ("collisions", "events"))
 LONGEST_MEMORY = 200
 """Characters of what a control law remembers."""
 UNKNOWN = RobotHealth(robot="", driver="", make="", model="", firmware="", lifecycle="")
@@ -108,20 +103,3 @@ def _robot(row: RobotRow) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return round(value, 3) if math.isfinite(value) else None
-
-
-@dataclass(slots=True)
-class Charts:
-    """Rows ``[at_s, work_m, coverage, collisions]``; None where it is not known."""
-
-    rows: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=int(CHART_S * CHART_RATE_HZ)))
-
-    def add(self, summaries: tuple[Summary, ...], now_s: float) -> list[float | None] | None:
-        """Return the new row; None while there is nothing to draw."""
-        by_name = {each.metric: each.values for each in summaries}
-        values = [by_name.get(metric, {}).get(key) for metric, key in _CHARTED]
-        if all(value is None for value in values):
-            return None
-        row = [round(now_s, 2), *(None if value is None else round(value, 4) for value in values)]
-        self.rows.append(row)
-        return row

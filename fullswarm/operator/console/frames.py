@@ -13,6 +13,8 @@ MAX_BYTES = 64 * 1024
 LONGEST_INT = 2**53
 """Larger integers are not exact in JavaScript."""
 
+MOST_CHARTS = 6
+
 Ref = Annotated[int, Meta(ge=0, le=LONGEST_INT)]
 Robot = Annotated[str, Meta(pattern=r"\A@?[A-Za-z0-9_-]{1,64}\Z")]
 Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{1,64}\Z")]
@@ -150,6 +152,20 @@ class Inspect(Frame, frozen=True, kw_only=True):
     robot: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{0,64}\Z")] = ""
 
 
+class Charted(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A chart: a field of robots (none: of all), or a quantity of the swarm, as ``work.total_m``."""
+
+    of: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_.-]{1,128}\Z")]
+    robots: Annotated[tuple[Name, ...], Meta(max_length=1024)] = ()
+
+
+class Charts(Frame, frozen=True, kw_only=True):
+    """Show these charts, up to now and on, or up to a moment of the past in seconds of the frames' clock."""
+
+    charts: Annotated[tuple[Charted, ...], Meta(max_length=MOST_CHARTS)] = ()
+    at: Annotated[float, Meta(ge=-1e12, le=1e12)] | None = None
+
+
 class Undo(Frame, frozen=True, kw_only=True):
     """Undo the newest request of this operator, if it is still the one with this id."""
 
@@ -188,8 +204,8 @@ class Ping(Frame, frozen=True, kw_only=True):
 
 Past = Look | Mark | Clip
 Command = (
-    Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Inspect | Undo
-    | Group | Keep | HandOver | Ping
+    Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Inspect | Charts
+    | Undo | Group | Keep | HandOver | Ping
 )  # fmt: skip
 
 

@@ -32,15 +32,16 @@ from fullswarm.messages import (
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console import fleet, frames
 from fullswarm.operator.console.cameras import Cameras
+from fullswarm.operator.console.charts import ChartDesk
 from fullswarm.operator.console.clips import Download
-from fullswarm.operator.console.detail import DETAIL_HZ, Details
-from fullswarm.operator.console.fleet import CHART_NAMES, CHART_RATE_HZ, Charts
+from fullswarm.operator.console.detail import Details
 from fullswarm.operator.console.handover import HandOvers, Surroundings
 from fullswarm.operator.console.history import History
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, named
 from fullswarm.operator.console.map import TRAIL_RATE_HZ, Coverage, Goals, HeldBack, Obstacles, Trails
 from fullswarm.operator.console.missions import MissionBoard
 from fullswarm.operator.console.presence import Presence
+from fullswarm.operator.console.samples import SAMPLE_HZ, Samples
 from fullswarm.operator.console.sessions import ConsoleContext, Listener, OperatorSession
 from fullswarm.operator.console.stops import EStopTracker, StopTracker
 from fullswarm.operator.console.study import PLAN, StudyDesk, Swarm, TrialPlan, read_plan
@@ -84,6 +85,7 @@ class Gateway:
     Parameters
     ----------
     new_history : makes the history of what pages are shown, given the present trails
+    samples : where the numbers are kept that charts are made of
 
     Attributes
     ----------
@@ -98,6 +100,7 @@ class Gateway:
         identity: Identity,
         wall_s: Callable[[], float],
         new_history: Callable[[StampedTrails], History] = History,
+        samples: Samples | None = None,
     ) -> None:
         self._keys, self._scheduler, self._identity = keys, scheduler, identity
         self._sessions: dict[str, OperatorSession] = {}
@@ -107,7 +110,9 @@ class Gateway:
         self._held = False  # the study holds the simulated world still
         self._quiet: frozenset[str] = frozenset()
         self.undrawn: dict[str, int] = {}
-        self._trails, self._charts, self._goals = Trails(), Charts(), Goals()
+        self._trails, self._goals = Trails(), Goals()
+        self.samples = samples or Samples()
+        self._charts = ChartDesk(self.samples, scheduler)
         self.view = FleetView(bus, keys, scheduler)
         self.timeline = Timeline(
             new_history(self._trails.stamped), scheduler, scheduler.now_s, wall_s, self._send,
@@ -123,7 +128,7 @@ class Gateway:
         )
         self._context = ConsoleContext(
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,
-            self._new_desk(bus, wall_s), self.timeline.handle,
+            self._new_desk(bus, wall_s), self.timeline.handle, self._charts.handle,
             Known(self._asked, self._world.orders, self._world.record, self._world.title), self._note,
             lambda command, session: self._hand_overs.handle(command, session),
         )  # fmt: skip
@@ -162,9 +167,8 @@ class Gateway:
             scheduler.every(1.0 / CHANGES_HZ, self._send_changes),
             scheduler.every(1.0 / FLEET_HZ, self._send_fleet, first_s=0.0),
             scheduler.every(1.0 / TRAIL_RATE_HZ, self._sample_trails),
-            scheduler.every(1.0 / CHART_RATE_HZ, self._send_chart),
             scheduler.every(1.0 / MAP_HZ, self._send_map),
-            scheduler.every(1.0 / DETAIL_HZ, self._send_details),
+            scheduler.every(1.0 / SAMPLE_HZ, self._sample),
         ]
         if self._desk is not None:
             self._timers.append(scheduler.every(DESK_S, self._tick_desk))
@@ -218,6 +222,7 @@ class Gateway:
         """Remove a page; its session is kept for a while, what it drove stops at once."""
         session.leave(listener)
         self.timeline.leave(listener)
+        self._charts.leave(listener)
         self._left_s[session.key] = self._scheduler.now_s()
 
     def download(self, key: str) -> Download | None:
@@ -235,6 +240,7 @@ class Gateway:
         if self._desk is not None:
             self._desk.close()
         self.timeline.close()
+        self._charts.close()
         self._world.close()
         self.view.close()
 
@@ -290,6 +296,7 @@ class Gateway:
             "events": self.timeline.events,
             "timeline": self.timeline.shown,
             "bookmarks": self.timeline.bookmarks,
+            "catalogue": self._charts.catalogue,
         }
 
     def _hello(self, session: OperatorSession, now_s: float) -> Made:
@@ -308,8 +315,6 @@ class Gateway:
         with self._drawing("history"):
             history = {
                 "trails": self._trails.shown(now_s),
-                "charts": list(self._charts.rows),
-                "chart_names": CHART_NAMES,
                 "log": [entry.shown(session.name) for entry in self._log_entries.entries],
             }
             frames.encode(history)
@@ -417,13 +422,6 @@ class Gateway:
         with self._drawing("trails"):
             self._trails.add(self.view.snapshot(), self._scheduler.now_s())
 
-    def _send_chart(self) -> None:
-        with self._drawing("chart"):
-            row = self._charts.add(self.view.snapshot().summaries, self._scheduler.now_s())
-            if row is not None:
-                self.timeline.history.add_row(row)
-                self._send({"t": "chart", "row": row})
-
     def _send_map(self) -> None:
         self._forget_sessions(self._scheduler.now_s())
         self._missions.expire(self._scheduler.now_s())
@@ -442,9 +440,16 @@ class Gateway:
                 if frame := self._coverage.shown():
                     self._send(frame)
 
-    # ---------------------------------------------------------------- details of a robot
-    def _send_details(self) -> None:
+    # ---------------------------------------------------------------- samples: charts, details of a robot
+    def _sample(self) -> None:
+        """Sample all robots, and send the charts and details that pages show: one snapshot for both."""
         now_s, seen = self._scheduler.now_s(), self.view.snapshot()
+        with self._drawing("charts"):
+            known = len(self.samples.names)
+            self.samples.add(seen.robots, seen.summaries, now_s)
+            if len(self.samples.names) != known:
+                self._send(self._charts.catalogue())
+            self._charts.send_new()
         with self._drawing("detail"):
             self._details.sample(seen, now_s)
             rows = {row.robot: row for row in seen.robots}

@@ -1,4 +1,4 @@
-"""Keeps what pages were shown, so that they can look back: frames in compressed segments, log lines, chart rows.
+"""Keeps what pages were shown, so that they can look back: frames in compressed segments, log lines.
 
 The history is bounded in time and in bytes. With 32 robots it takes about 10 kB a second: see decision 81.
 """
@@ -8,13 +8,12 @@ from __future__ import annotations
 import zlib
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, Protocol
 
 from fullswarm.operator.console import frames
-from fullswarm.operator.console.fleet import CHART_S
 from fullswarm.operator.console.log import LOG_LENGTH, Entry
 
 PERIODS_S = {
@@ -29,7 +28,7 @@ SEGMENT_S, SEGMENT_BYTES = 10.0, 2_000_000
 FRAME_BYTES = 1_000_000
 """A longer frame is left out: a thousand robots' worth."""
 KEPT_S, KEPT_BYTES = 1800.0, 64_000_000
-MOST_ENTRIES, MOST_ROWS = 5_000, 50_000
+MOST_ENTRIES = 5_000
 TRAIL_STEP_S = 1.0
 """Between the points of a trail at the beginning of a segment."""
 
@@ -102,12 +101,11 @@ class _Open:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Bounds of a history: seconds and compressed bytes of its segments, log lines, rows of the charts."""
+    """Bounds of a history: seconds and compressed bytes of its segments, log lines."""
 
     seconds: float = KEPT_S
     bytes: int = KEPT_BYTES
     entries: int = MOST_ENTRIES
-    rows: int = MOST_ROWS
 
 
 @dataclass(slots=True)
@@ -129,7 +127,6 @@ class History:
     left_out: int = 0
     to_s: float = 0.0
     entries: deque[Entry] = field(init=False)
-    rows: deque[list[float | None]] = field(init=False)
     _segments: deque[Segment] = field(default_factory=deque)
     _open: _Open | None = None
     _size: int = 0
@@ -137,7 +134,7 @@ class History:
     _kept_s: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.entries, self.rows = deque(maxlen=self.limits.entries), deque(maxlen=self.limits.rows)
+        self.entries = deque(maxlen=self.limits.entries)
 
     @property
     def from_s(self) -> float:
@@ -172,10 +169,6 @@ class History:
         """Keep a line of the log."""
         self.entries.append(entry)
 
-    def add_row(self, row: list[float | None]) -> None:
-        """Keep a row of the charts."""
-        self.rows.append(row)
-
     def events(self, most: int) -> list[dict[str, Any]]:
         """Return the newest lines of the log that can still be looked at, the oldest first."""
         lines = islice(self.entries, max(0, len(self.entries) - most), None)
@@ -190,7 +183,7 @@ class History:
         """
         found = self._find(at_s)
         if found is None:
-            return '{"t":"history","from":0,"to":0,"open":true,"charts":[],"log":[],"frames":[]}'
+            return '{"t":"history","from":0,"to":0,"open":true,"log":[],"frames":[]}'
         from_s, to_s, packed, is_open = found
         head = frames.encode(
             {
@@ -198,7 +191,6 @@ class History:
                 "from": round(from_s, 3),
                 "to": round(to_s, 3),
                 "open": is_open,
-                "charts": list(_within(self.rows, from_s - CHART_S, to_s)),
                 "log": [entry.shown(reader) for entry in self._lines(to_s)],
             }
         )
@@ -266,9 +258,3 @@ class History:
 def event(entry: Entry) -> dict[str, Any]:
     """Return a line of the log as a mark on the timeline."""
     return {"at": round(entry.at_s, 2), "kind": entry.kind, "text": entry.text}
-
-
-def _within(rows: Iterable[list[float | None]], from_s: float, to_s: float) -> Iterator[list[float | None]]:
-    for row in rows:
-        if row[0] is not None and from_s < row[0] <= to_s:
-            yield row

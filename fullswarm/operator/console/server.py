@@ -276,7 +276,7 @@ class Pages:
 # ---------------------------------------------------------------- frames that wait
 NEWEST_WINS = frozenset(
     {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop", "study"}
-    | {"history", "timeline", "events", "bookmarks", "undo", "detail", "presence", "offers"}
+    | {"history", "timeline", "events", "bookmarks", "undo", "detail", "presence", "offers", "series", "catalogue"}
 )
 """Frames that are complete: a page that was busy needs only the last one."""
 PICTURES = "picture "

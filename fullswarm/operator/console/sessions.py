@@ -16,6 +16,7 @@ from fullswarm.operator.client import Operator
 from fullswarm.operator.console import frames
 from fullswarm.operator.console.frames import Answer
 from fullswarm.operator.console.log import for_page
+from fullswarm.operator.console.samples import DEFAULT
 from fullswarm.operator.console.study import StudyDesk
 from fullswarm.operator.console.tokens import Role
 from fullswarm.operator.console.undo import Known, Step, UndoPlan
@@ -77,6 +78,7 @@ class ConsoleContext:
     read_only: bool
     study: StudyDesk | None  # None: the operator takes part in no study
     look: Callable[[frames.Past, Listener, str], Answer]  # shows a page the past
+    chart: Callable[[frames.Charts, Listener], Answer]  # shows a page charts
     undo: Known
     note: Callable[[str, str], None]  # logs what an operator has changed: text, name
     hand_over: Callable[[frames.HandOver, OperatorSession], str]  # carries it out, or returns why not
@@ -147,6 +149,8 @@ class OperatorSession:
             return self._watch_cameras(ref, command.on, listener)
         if isinstance(command, frames.Inspect):
             return self._inspect(ref, command.robot, listener)
+        if isinstance(command, frames.Charts):
+            return self._chart(command, listener)
         if isinstance(command, frames.Look):
             return self._context.look(command, listener, self.name)
         if self._context.read_only:
@@ -216,6 +220,15 @@ class OperatorSession:
         if robot and listener in self.listeners:
             self.inspected[listener] = robot
         return Answer(ref=ref)
+
+    def _chart(self, command: frames.Charts, listener: Listener) -> Answer:
+        """Show a page charts: in a study only those that every page shows."""
+        others = command.at is not None or any(each.of not in DEFAULT for each in command.charts)
+        if self._context.study is not None and others:
+            return Answer(ref=command.ref, ok=False, reason=IN_STUDY)
+        if listener not in self.listeners:
+            return Answer(ref=command.ref)  # it has left meanwhile
+        return self._context.chart(command, listener)
 
     def _request(self, command: frames.Request) -> Answer:
         def accepted(status: RequestStatus) -> None:

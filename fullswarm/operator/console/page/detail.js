@@ -5,7 +5,7 @@
 
 import uPlot from "./uplot.js";
 import { needsAttention } from "./attention.js";
-import { byId, make, setText } from "./dom.js";
+import { byId, Emitter, make, setText } from "./dom.js";
 import { sections } from "./facts.js";
 import { titleOf } from "./words.js";
 
@@ -16,12 +16,17 @@ const ADDRESS = "robot";
 const CHART_PX = 96;
 const COLOURS = { speed: ["#0072B2", "#56B4E9"], command: ["#B3470A", "#FF9A5C"], battery: ["#00704F", "#2BC493"] };
 
-export class DetailPane {
+/**
+ * Emits "chart" with what the person wants to have charted.
+ * @extends {Emitter<{chart: import("./series.js").Choice}>}
+ */
+export class DetailPane extends Emitter {
   /**
    * @param {{store: import("./store.js").Store, present: import("./store.js").Store, link: import("./link.js").Link,
    *   theme: import("./theme.js").Theme}} parts
    */
   constructor({ store, present, link, theme }) {
+    super();
     this.store = store;
     this.link = link;
     this.theme = theme;
@@ -30,6 +35,9 @@ export class DetailPane {
     byId("detail-close").addEventListener("click", () => this.close());
     byId("detail-previous").addEventListener("click", () => this.#step(-1));
     byId("detail-next").addEventListener("click", () => this.#step(1));
+    for (const button of /** @type {NodeListOf<HTMLElement>} */ (this.pane.querySelectorAll("[data-chart]"))) {
+      button.addEventListener("click", () => this.emit("chart", { of: button.dataset.chart ?? "", robots: [this.robot], group: "" }));
+    }
     present.on("detail", (detail) => this.#take(detail));
     for (const topic of /** @type {const} */ (["fleet", "leases", "filter", "world"])) store.on(topic, () => this.#fill());
     link.on("open", () => this.#ask());

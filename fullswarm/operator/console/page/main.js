@@ -1,12 +1,13 @@
 /**
  * Assembles the page. A panel is a class that gets what it needs here, listens to the store, and fills an element of
- * index.html: see charts.js for the smallest.
+ * index.html: see log.js for the smallest.
  *
  * data      link.js (WebSocket), store.js (the newest of everything), tracks.js (positions between two states), types.d.ts
  * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js,
  *           stick.js (a finger on the screen), signals.js (sound, vibration)
  * panels    fleet.js (table), attention.js (the strip above it), groups.js, detail.js (one robot; facts.js), panel.js
- *           (behaviours; field.js, forms.js, refusals.js, saved.js, places.js), missions.js, charts.js, log.js, legend.js, camera.js, banners.js,
+ *           (behaviours; field.js, forms.js, refusals.js, saved.js, places.js), missions.js, charts.js (plot.js, series.js,
+ *           chartform.js), log.js, legend.js, camera.js, banners.js,
  *           study.js (the dialogs of a study); words.js (words for people), summary.js (the fleet in words, spoken),
  *           layout.js (tabs, menus), logfilter.js (which lines of the log), people.js (operators, hand-over), guide.js (the first
  *           minute), tips.js (tooltips)
@@ -94,7 +95,8 @@ const openDetail = (/** @type {string} */ id) => {
 tools.on("open", openDetail);
 new FleetTable({ store, selection, commands, link, open: openDetail });
 new Legend(store);
-new Charts(store, theme);
+const charts = new Charts({ store, present, link, theme, selection, past });
+detail.on("chart", (choice) => charts.show(choice));
 new LogView(store, selection);
 new Summary(store);
 new Signals(present, banners);
@@ -171,6 +173,7 @@ byId("help-close").addEventListener("click", () => toggleHelp(false));
 function escape() {
   if (!help.hidden) toggleHelp(false);
   else if (guide.open) guide.close();
+  else if (charts.form.focused) charts.form.cancel();
   else if (detail.focused) detail.close();
   else if (tools.mode !== "select") tools.use("select");
   else selection.clear();
@@ -198,7 +201,7 @@ window.fullswarm = Object.freeze({
       goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
       ruler: tools.ruler && rulerWords(tools.ruler.from, tools.ruler.to),
       labels: map.robots.labels.filter(({ shown }) => shown).map(({ key, words, left, top, width, height }) => ({ key, words, left, top, width, height })),
-      operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: store.charts.length, log: store.log.length,
+      operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: charts.shown, log: store.log.length,
       time: { live: past.live, at_s: past.live ? map.drawn_s : past.at_s, from_s: past.from_s, to_s: past.to_s, ready: past.ready, playing: past.playing },
     };
   },

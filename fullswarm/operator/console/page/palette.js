@@ -53,6 +53,12 @@ export function kindOf(make = "", driver = "", icons = {}) {
   return { shape, letter: letter || (make[0] ?? "?").toUpperCase() };
 }
 
+/** Of the lines of charts, in the order of the lines: at least 3:1 against the panel. Dashes and names go with them. */
+export const LINE_COLOURS = {
+  light: ["#0072B2", "#B3470A", "#00704F", "#8A3F8C", "#7A5C00", "#A01A58", "#3D5A80", "#4A5561"],
+  dark: ["#56B4E9", "#FF9A5C", "#2BC493", "#E0A0DC", "#F0E442", "#FF8FB5", "#A9C4E8", "#C3CED8"],
+};
+
 export const MAP_COLOURS = {
   light: {
     dark: false, outside: "#E4E8EC", floor: "#FAFBFC", grid: "#E2E6EA", wall: "#4A5560", box: "#8893A0", seen: "#A35400",

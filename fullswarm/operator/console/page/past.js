@@ -3,7 +3,7 @@
 import { Emitter } from "./dom.js";
 import { Track } from "./tracks.js";
 
-/** @import { ChartRow, Entry, History, Message, TimelineFrame } from "./types.d.ts" */
+/** @import { Entry, History, Message, TimelineFrame } from "./types.d.ts" */
 
 const AHEAD_S = 0.25; // states this far ahead are known, so that a robot moves between two of them
 const LIVE_S = 0.4; // so near to the present it is the present
@@ -187,14 +187,12 @@ export class Past extends Emitter {
     this.#other = segment.others.findIndex(([at_s]) => at_s > this.at_s);
     if (this.#other < 0) this.#other = segment.others.length;
     const newest = /** @type {Map<string, Message>} */ (new Map());
-    const charts = [...segment.charts];
     const log = [...segment.log];
     for (const [, message] of segment.others.slice(0, this.#other)) {
-      if (message.t === "chart") charts.push(message.row);
-      else if (message.t === "log") log.push(message.entry);
+      if (message.t === "log") log.push(message.entry);
       else newest.set(message.t, message);
     }
-    this.store.rewind({ tracks, charts, log: log.slice(-LOG_SHOWN), at_s: this.at_s });
+    this.store.rewind({ tracks, log: log.slice(-LOG_SHOWN), at_s: this.at_s });
     for (const message of newest.values()) this.store.apply(message);
     this.#due = false;
     this.emit("change");
@@ -266,21 +264,19 @@ export class Past extends Emitter {
 /** One segment, its frames by kind in the order of time. */
 class Segment {
   /** @param {History} history */
-  constructor({ from, to, open, charts, log, frames }) {
+  constructor({ from, to, open, log, frames }) {
     this.from = from;
     this.to = to;
     this.open = open;
     this.trails = /** @type {Record<string, number[][]>} */ ({});
     this.states = /** @type {Extract<Message, {t: "state"}>[]} */ ([]);
     this.others = /** @type {[number, Message][]} */ ([]);
-    this.charts = /** @type {ChartRow[]} */ (charts.filter(([at_s]) => at_s <= from));
     this.log = /** @type {Entry[]} */ (log.filter(({ at }) => at <= from));
     for (const [at_s, message] of frames) {
       if (message.t === "trails") this.trails = message.robots;
       else if (message.t === "state") this.states.push(message);
       else this.others.push([at_s, message]);
     }
-    for (const row of charts) if (row[0] > from) this.others.push([row[0], { t: "chart", row }]);
     for (const entry of log) if (entry.at > from) this.others.push([entry.at, { t: "log", entry }]);
     this.others.sort((one, other) => one[0] - other[0]);
   }

@@ -6,24 +6,24 @@ import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
 /** @import { HandOverFrame, OffersFrame, PresenceFrame } from "./types.d.ts" */
-/** @import { Behaviour, Bookmark, Box, Camera, ChartRow, ClipFrame, Coverage, Detail, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Place, Point, RequestStatus, Robot, SavedRequest, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
+/** @import { Behaviour, Bookmark, Box, Camera, Catalogue, ClipFrame, Coverage, Detail, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Place, Point, RequestStatus, Robot, Rows, SavedRequest, Series, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
 
 const COUNTED = new Intl.Collator("en", { numeric: true }); // ten times as fast as localeCompare
 const LOG_KEPT = 500;
-const CHART_KEPT = 1200;
 
 /**
- * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
+ * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, coverage,
  * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study,
- * underlay, cameras, picture, undo, detail, presence, offers, handover; timeline, history, events (all), event, bookmarks, clip.
+ * underlay, cameras, picture, undo, detail, presence, offers, handover, catalogue, series, rows; timeline, history,
+ * events (all), event, bookmarks, clip.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
- *   goals: Store["goals"], docks: Dock[], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
+ *   goals: Store["goals"], docks: Dock[], coverage: Coverage | null, obstacles: number[][], log: Entry | null,
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
  *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study,
  *   underlay: UnderlayFrame, cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string},
  *   undo: UndoFrame, detail: Detail, timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
  *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame,
- *   presence: PresenceFrame, offers: OffersFrame, handover: HandOverFrame}>}
+ *   catalogue: Catalogue, series: Series, rows: Rows, presence: PresenceFrame, offers: OffersFrame, handover: HandOverFrame}>}
  */
 export class Store extends Emitter {
   constructor() {
@@ -52,7 +52,6 @@ export class Store extends Emitter {
     this.docks = /** @type {Dock[]} */ ([]);
     this.filter = /** @type {Map<string, [number, number, string]>} */ (new Map());
     this.goals = /** @type {Map<string, Goal>} */ (new Map());
-    this.charts = /** @type {ChartRow[]} */ ([]);
     this.coverage = /** @type {Coverage | null} */ (null);
     this.obstacles = /** @type {number[][]} */ ([]);
     this.log = /** @type {Entry[]} */ ([]);
@@ -134,7 +133,6 @@ export class Store extends Emitter {
     fleet: (message) => this.#fleet(message),
     filter: ({ robots }) => this.#set("filter", new Map(robots.map(([id, dx, dy, why]) => [id, [dx, dy, why]]))),
     goals: ({ robots }) => this.#set("goals", new Map(Object.entries(robots))),
-    chart: ({ row }) => this.#chart(row),
     coverage: (message) => this.#set("coverage", message),
     obstacles: ({ rows }) => this.#set("obstacles", rows),
     log: ({ entry }) => this.#log(entry),
@@ -160,15 +158,18 @@ export class Store extends Emitter {
     presence: (message) => this.emit("presence", message),
     offers: (message) => this.emit("offers", message),
     handover: (message) => this.emit("handover", message),
+    catalogue: (message) => this.emit("catalogue", message),
+    series: (message) => this.emit("series", message),
+    rows: (message) => this.emit("rows", message),
   });
 
   /**
-   * Go to another time: robots, charts and log are those of then. What else there was follows as messages.
-   * @param {{tracks: Map<string, Track>, charts: ChartRow[], log: Entry[], at_s: number}} then
+   * Go to another time: robots and log are those of then. What else there was follows as messages.
+   * @param {{tracks: Map<string, Track>, log: Entry[], at_s: number}} then
    */
-  rewind({ tracks, charts, log: lines, at_s }) {
+  rewind({ tracks, log: lines, at_s }) {
     const log = newestOfEach(lines);
-    Object.assign(this, { tracks, charts, log, at_s, pending: null, filter: new Map(), goals: new Map(), coverage: null, obstacles: [] });
+    Object.assign(this, { tracks, log, at_s, pending: null, filter: new Map(), goals: new Map(), coverage: null, obstacles: [] });
     this.#emitAll();
   }
 
@@ -183,7 +184,7 @@ export class Store extends Emitter {
     Object.assign(this, {
       arena, boxes, behaviours, groups, own_groups, places, saved, sensing_radius_m, icons, looks, at_s, filter, goals, coverage, obstacles, hub,
       core_age_s, nodes, missing, docks, leases, missions, clock, tracks, fleet: new Map(other.fleet),
-      charts: [...other.charts], log: [...other.log], pending: null,
+      log: [...other.log], pending: null,
     });
     this.#emitAll();
     this.emit("docks", this.docks);
@@ -199,7 +200,6 @@ export class Store extends Emitter {
     this.emit("obstacles", this.obstacles);
     this.emit("goals", this.goals);
     this.emit("filter", this.filter);
-    this.emit("charts", null);
     this.emit("log", null);
   }
 
@@ -219,14 +219,12 @@ export class Store extends Emitter {
     this.icons = message.icons ?? {};
     this.clock = new ServerClock();
     const history = message.history ?? {};
-    this.charts = [...(history.charts ?? [])];
     this.log = [...(history.log ?? [])];
     this.#world(message);
     const recalled = Object.entries(history.trails ?? {});
     for (const [id] of recalled) this.#track(id).trail = [];
     this.pending = recalled.length ? new Map(recalled) : null;
     this.emit("hello", message);
-    this.emit("charts", null);
     this.emit("log", null);
   }
 
@@ -280,13 +278,6 @@ export class Store extends Emitter {
     if (JSON.stringify(docks) !== JSON.stringify(this.docks)) this.#set("docks", docks);
     if (this.fleet.size !== known) this.emit("robots", null);
     this.emit("fleet", message);
-  }
-
-  /** @param {ChartRow} row */
-  #chart(row) {
-    this.charts.push(row);
-    if (this.charts.length > CHART_KEPT) this.charts.shift();
-    this.emit("charts", row);
   }
 
   /** @param {Entry} entry */

@@ -2,7 +2,6 @@
 
 export type Point = [x_m: number, y_m: number];
 export type Box = [x0_m: number, y0_m: number, x1_m: number, y1_m: number];
-export type ChartRow = [at_s: number, ...values: (number | null)[]];
 
 export interface Robot {
   robot: string;
@@ -105,7 +104,7 @@ export interface Hello extends World {
   operator: string;
   read_only: boolean;
   icons?: Record<string, [shape: string, letter: string]>;
-  history?: { trails?: Record<string, Point[]>; charts?: ChartRow[]; log?: Entry[] };
+  history?: { trails?: Record<string, Point[]>; log?: Entry[] };
 }
 
 export interface Entry {
@@ -368,13 +367,57 @@ export interface Detail {
   requests: { clock: string; behaviour: string; operator: string; outcome: string; code: string; reason: string }[];
 }
 
+/** What can be charted: title, unit, meaning; a value times `scale` is in the unit. */
+export interface About {
+  name: string;
+  title: string;
+  unit: string;
+  doc: string;
+  scale: number;
+}
+
+export interface Catalogue {
+  t: "catalogue";
+  fields: About[]; // of robots
+  metrics: About[]; // of the swarm
+  lines: number; // of more robots there are the least, the median and the largest value
+  most: number; // charts
+  seconds: number; // length of a chart
+}
+
+/** A chart: a time and a value per sample and line; `why`: there are none, or none is known. */
+export interface Drawn {
+  lines: string[];
+  band: boolean;
+  robots: number;
+  why: string;
+  times: number[];
+  values: (number | null)[][];
+}
+
+/** The charts that the frame `charts` with this number has asked for, as a whole; `at`: null: of now. */
+export interface Series {
+  t: "series";
+  ref: number;
+  at: number | null;
+  to: number | null;
+  charts: Drawn[];
+}
+
+/** What was sampled since. */
+export interface Rows {
+  t: "rows";
+  ref: number;
+  to: number;
+  charts: { times: number[]; values: (number | null)[][] }[];
+}
+
 /** A part of the past. Its first frames are the newest of each kind when it began. */
 export interface History {
   t: "history";
   from: number;
   to: number;
   open: boolean; // it still grows
-  charts: ChartRow[];
   log: Entry[];
   frames: [at_s: number, frame: Message | { t: "trails"; robots: Record<string, number[][]> }][];
 }
@@ -413,7 +456,6 @@ export type Message =
   | Fleet
   | { t: "filter"; robots: [id: string, dx_m_s: number, dy_m_s: number, reason: string][] }
   | { t: "goals"; robots: Record<string, Goal> }
-  | { t: "chart"; row: ChartRow }
   | Coverage
   | { t: "obstacles"; rows: number[][] }
   | { t: "log"; entry: Entry }
@@ -438,6 +480,9 @@ export type Message =
   | PresenceFrame
   | OffersFrame
   | HandOverFrame
+  | Catalogue
+  | Series
+  | Rows
   | Lost;
 
 declare global {
