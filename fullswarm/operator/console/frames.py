@@ -164,6 +164,15 @@ class Group(Frame, frozen=True, kw_only=True):
     robots: Annotated[tuple[Name, ...], Meta(max_length=1024)] = ()
 
 
+class Experiment(Frame, frozen=True, kw_only=True):
+    """Begin or end to look at the list of experiments, start one, stop the one that runs; no `seeds`: the file's."""
+
+    op: Literal["watch", "unwatch", "start", "stop"]
+    id: Annotated[str, Meta(max_length=300)] = ""
+    small: bool = True
+    seeds: Annotated[str, Meta(pattern=r"\A([0-9]{1,19}(-[0-9]{1,19})?)?\Z")] = ""
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
@@ -171,7 +180,7 @@ class Ping(Frame, frozen=True, kw_only=True):
 Past = Look | Mark | Clip
 Command = (
     Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Inspect | Undo
-    | Group | Ping
+    | Group | Experiment | Ping
 )  # fmt: skip
 
 

@@ -276,7 +276,7 @@ class Pages:
 # ---------------------------------------------------------------- frames that wait
 NEWEST_WINS = frozenset(
     {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop", "study"}
-    | {"history", "timeline", "events", "bookmarks", "undo", "detail"}
+    | {"history", "timeline", "events", "bookmarks", "undo", "detail", "experiments", "experiment_list"}
 )
 """Frames that are complete: a page that was busy needs only the last one."""
 PICTURES = "picture "
