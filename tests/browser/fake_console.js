@@ -74,6 +74,7 @@
       this.say({ t: "hello", swarm: "lab", operator: "anna", read_only: false, ...world() });
       this.say(timeline());
       this.say({ t: "bookmarks", bookmarks: [{ id: "b1", at: now_s(), name: "the first turn", by: "anna" }], clips: "" });
+      this.say({ t: "experiments", refusal: "", running: null });
       this.tick();
     }
 

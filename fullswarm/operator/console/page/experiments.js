@@ -5,6 +5,7 @@ import { byId, make, setFlag, setText } from "./dom.js";
 /** @import { ExperimentCell, ExperimentEntry, ExperimentList, ExperimentsFrame } from "./types.d.ts" */
 
 const KEPT_AS = "experiments";
+const TABS = "(width < 1420px), (height < 800px)"; // as in the style sheet: one panel at a time
 const READING = "Reading the experiments …";
 const HEADS = ["Behaviour, world", "Robots", "Trials", "Coll.", "Arrived"];
 
@@ -18,8 +19,9 @@ export class Experiments {
     this.toggle = byId("experiments-toggle");
     this.list = byId("experiment-list");
     this.one = new One((message) => this.#send(message));
+    this.#place();
     byId("experiment-one").append(this.one.element);
-    this.toggle.addEventListener("click", () => (this.panel.hidden ? this.#open() : this.#close()));
+    this.toggle.addEventListener("click", () => this.#toggled());
     byId("experiments-close").addEventListener("click", () => this.#close(true));
     byId("experiment-back").addEventListener("click", () => this.#choose("", true));
     // Another panel is wanted in its place.
@@ -35,6 +37,14 @@ export class Experiments {
   #rows = /** @type {Map<string, Row>} */ (new Map());
   #entries = /** @type {ExperimentEntry[]} */ ([]);
 
+  /** The header of a wide screen has no room for it. */
+  #place() {
+    const query = matchMedia(TABS);
+    const place = () => (query.matches ? byId("signals").before(this.toggle) : byId("behaviours-title").after(this.toggle));
+    query.addEventListener("change", place);
+    place();
+  }
+
   /** After a reload of the page, or of the console, what was open is open again. */
   #greeted() {
     const kept = sessionStorage.getItem(KEPT_AS);
@@ -49,6 +59,14 @@ export class Experiments {
     const words = running ? `${running.name} is running: ${running.done ?? 0}${of} trials` : "Run experiments";
     if (this.toggle.title !== words) this.toggle.title = words;
     setFlag(this.toggle, "data-running", running !== null);
+  }
+
+  #toggled() {
+    const fold = byId("bar-fold");
+    if (fold.parentElement?.dataset.menu === "open") fold.click();
+    if (!this.panel.hidden) return this.#close(true);
+    this.#open();
+    return this.panel.focus({ preventScroll: true }); // where the button was hidden by the panel
   }
 
   #open(chosen = this.#chosen) {
@@ -107,8 +125,11 @@ export class Experiments {
   }
 
   #showOne() {
-    if (!this.#chosen) return;
     const entry = this.#entries.find(({ id }) => id === this.#chosen);
+    const title = byId("experiments-title");
+    setText(title, entry?.name ?? "Experiments");
+    title.title = entry?.name ?? "";
+    if (!this.#chosen) return;
     if (entry) this.one.update(entry, this.store.hello?.read_only ?? false);
     else if (this.#entries.length) this.#choose(""); // its file is gone
   }
@@ -167,7 +188,6 @@ class One {
   /** @param {(message: object) => void} send */
   constructor(send) {
     this.send = send;
-    this.title = make("h3");
     this.what = make("p", { class: "experiment-text" });
     this.fault = make("p", { class: "experiment-fault", testid: "experiment-fault" });
     this.state = make("p", { class: "experiment-now", testid: "experiment-now", role: "status" });
@@ -191,8 +211,8 @@ class One {
     this.failures = make("ul", { class: "experiment-failures", "aria-label": "Failures" });
     this.element = make(
       "div", { class: "experiment-body" },
-      this.title, this.what, this.fault, this.state, this.bar, this.form,
-      make("div", { class: "experiment-acts" }, this.stop, this.report), this.facts, this.table, this.failures,
+      this.what, this.fault, this.state, this.bar,
+      make("div", { class: "experiment-acts" }, this.stop, this.report), this.form, this.facts, this.table, this.failures,
     );
   }
 
@@ -226,7 +246,6 @@ class One {
     }
     this.#entry = entry;
     const { results, state } = entry;
-    setText(this.title, entry.name);
     setText(this.what, entry.description);
     setText(this.fault, entry.fault);
     setText(this.state, atLength(entry));
@@ -278,18 +297,17 @@ class One {
  */
 function makeForm(changed, submit) {
   const part = make(
-    "select", { id: "experiment-part", testid: "experiment-part", on: { change: changed } },
+    "select", { testid: "experiment-part", on: { change: changed } },
     make("option", { value: "small", text: "small" }), make("option", { value: "full", text: "full" }),
   );
   const seeds = make("input", {
-    type: "text", id: "experiment-seeds", testid: "experiment-seeds", inputmode: "numeric", autocomplete: "off", maxlength: "40",
+    type: "text", testid: "experiment-seeds", inputmode: "numeric", autocomplete: "off", maxlength: "40",
     pattern: "[0-9]+(-[0-9]+)?", title: "A seed or a range: 7, or 0-19",
   });
   const begin = make("button", { type: "submit", class: "start", testid: "experiment-start", text: "Start" });
   const form = make(
     "form", { class: "experiment-form", "aria-label": "Start", on: { submit } },
-    make("label", { for: "experiment-part", text: "Part" }), part,
-    make("label", { for: "experiment-seeds", text: "Seeds" }), seeds, begin,
+    make("label", {}, "Part", part), make("label", {}, "Seeds", seeds), begin,
   );
   return { form, part, seeds, begin };
 }
@@ -332,9 +350,9 @@ function atLength(entry) {
     return count ? `${begin}: ${count}` : `${begin}; the first trial takes up to a minute`;
   }
   if (state === "elsewhere") return `Running, started from a shell: ${count}`;
-  const past = words && `It ${words}. `;
-  if (state === "stopped") return `${past}${count} are kept; "Continue" goes on from there`;
-  if (state === "ended") return `${past}${count} have ended`;
+  const past = words && `It ${words}`;
+  if (state === "stopped") return `${past ? `${past}. ` : ""}${count} are kept; "Continue" goes on from there`;
+  if (state === "ended") return `${past || "All have ended"}: ${count}`;
   return state === "new" ? past || "Not run yet" : past;
 }
 
