@@ -193,13 +193,14 @@ def open_experiments(console: Console) -> None:
         "by": "", "stopping": False, "words": "", "bad": False, "report": "", "results": None,
     }  # fmt: skip
     wrong = "experiments/corridors_of_the_new_hall.toml:12: groups[0].scenarios: there is no scenario 'corridr'"
-    entries = [
-        plain | {"id": "file:corridors.toml", "name": "corridors", "state": "faulty", "fault": wrong, "can_start": False},
-        plain | {"id": "package:paper", "name": "paper", "state": "running", "by": "anna@lab", "results": results},
-        plain | {"id": "package:safety", "name": "safety", "state": "ended", "report": "/report/x/", "results": results},
-        plain | {"id": "package:filter", "name": "filter", "state": "stopped", "report": "/report/y/", "results": results},
-        plain | {"id": "package:paper_filter", "name": "paper_filter"},
-    ]  # fmt: skip
+    states: dict[str, dict[str, object]] = {
+        "corridors": {"state": "faulty", "fault": wrong, "can_start": False},
+        "paper": {"state": "running", "by": "anna@lab", "results": results},
+        "safety": {"state": "ended", "report": "/report/x/", "results": results},
+        "filter": {"state": "stopped", "report": "/report/y/", "results": results},
+        "paper_filter": {},
+    }
+    entries = [plain | {"id": f"package:{name}", "name": name} | fields for name, fields in states.items()]
     frame = {"t": "experiment_list", "folder": "experiments", "problem": "", "entries": entries}
     console.page.evaluate("(frame) => fake.say(frame)", frame)
     expect(console.named("experiment-paper")).to_be_visible()
@@ -261,6 +262,6 @@ def log(console: Console) -> Iterator[None]:
 
 STATES: dict[str, State] = {
     "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
-    "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts, "log": log, "experiments": experiments, "experiment": experiment,
-    "experiment_stopped": experiment_stopped,
+    "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts, "log": log,
+    "experiments": experiments, "experiment": experiment, "experiment_stopped": experiment_stopped,
 }  # fmt: skip

@@ -35,8 +35,8 @@ PACKAGE, FILE, FOLDER = "package", "file", "folder"
 REFRESH_S = 1.0
 MOST_FILES, MOST_FOLDERS = 100, 100
 LARGEST_FILE = 1_000_000
-MOST_PLANNED, MOST_STORED = 200_000, 50_000
-"""Trials of an experiment that is listed, and of a results folder that is read."""
+MOST_PLANNED, MOST_STORED, MOST_ROBOTS = 200_000, 50_000, 5_000
+"""Trials of an experiment that is listed, and of a results folder that is read; robots of a trial."""
 MOST_CELLS, MOST_LAST = 12, 5
 LONGEST_TEXT, LONGEST_FAULT = 300, 800
 
@@ -184,6 +184,8 @@ def _described(source: Source) -> Source:
         experiment = load_experiment(source.source)
         if (count := _most_trials(experiment)) > MOST_PLANNED:
             raise ConfigError(f"up to {count} trials are too many to list", where=source.source)
+        if (robots := max(number for each in experiment.groups for number in each.robots)) > MOST_ROBOTS:
+            raise ConfigError(f"{robots} robots in a trial are too many to list", where=source.source)
         trials = plan(experiment)
         small = plan(experiment, small=True)
         check_behaviours(trials, source.source)

@@ -28,8 +28,10 @@ IDLE_S = 10.0
 """The list is read for so long after the last page has stopped to look: a page may be reloaded."""
 AGAIN_S = 5.0
 """A reader that has ended by itself is started again after this time."""
-STOP_S, END_S = 15.0, 3.0
+STOP_S, END_S = 15.0, 1.2
 """How long a run may take to end, when it is stopped and when the console ends; then it is killed."""
+SETTLE_S = 2.5
+"""A run that has ended counts as running until the list is newer than its end, for so long at most."""
 ELSEWHERE_S = 60.0
 """Trials that ended so shortly after a run of this console were its own, not those of a shell."""
 LARGEST_LIST = 4_000_000
@@ -120,6 +122,7 @@ class _Run:
     log: IO[bytes]
     stopped_by: str = ""
     stopped_s: float = 0.0
+    ended_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,7 +314,10 @@ class Experiments:
     # ---------------------------------------------------------------- reports
     def reported(self, key: str) -> tuple[Entry, str] | None:
         """Return the experiment whose report has this key, and why it has none now; None: there is no such key."""
-        entry = next((each for each, known in self._keys.items() if secrets.compare_digest(known, key)), None)
+        given = key.encode(errors="replace")
+        entry = next(
+            (each for each, known in self._keys.items() if secrets.compare_digest(known.encode(), given)), None
+        )
         found = (self._entries or {}).get(entry or "")
         if found is None:
             return None
@@ -335,10 +341,12 @@ class Experiments:
         changed = self._read()
         run = self._run
         if run is not None:
-            code = run.process.poll()
-            if code is not None:
-                self._finish(run)
-                changed = True
+            if run.process.poll() is not None:
+                if run.ended_s is None:
+                    run.ended_s = now_s
+                elif changed or now_s - run.ended_s > SETTLE_S:
+                    self._finish(run)
+                    changed = True
             elif run.stopped_by and now_s - run.stopped_s > STOP_S:
                 children.end(run.process)
         if changed:
@@ -395,6 +403,8 @@ class Experiments:
             self._problem = f"the list of experiments cannot be read: {error}"[:MOST_WORDS]
             return True
         self._entries, self._problem = {each.id: each for each in found.experiments}, ""
+        self._keys = {id_: key for id_, key in self._keys.items() if id_ in self._entries}
+        self._ended = {id_: ended for id_, ended in self._ended.items() if id_ in self._entries}
         return True
 
     def _finish(self, run: _Run) -> None:
@@ -418,7 +428,7 @@ class Experiments:
 
     # ---------------------------------------------------------------- the audit log
     def _record(self, result: str, entry: Entry | None, by: str, what: dict[str, object] | None = None) -> None:
-        if self._bench.audit is None:
+        if self._bench.audit is None or os.name != "posix":  # as a core's log
             return
         if self._audit is None:
             self._audit = AuditLog(
