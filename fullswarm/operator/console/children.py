@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import IO
 
-NICENESS = 15
+NICENESS = 10
 TAIL_BYTES = 4096
 
 
