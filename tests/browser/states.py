@@ -169,11 +169,17 @@ def bookmarks(console: Console) -> Iterator[None]:
 
 
 def open_experiments(console: Console) -> None:
-    """Open the panel, with a list that has all there can be: states, a fault, long names."""
+    """Open the panel, with a list."""
     fold = console.named("bar-fold")
     if fold.is_visible():
         fold.click()
     console.named("experiments-toggle").click()
+    list_experiments(console)
+    expect(console.named("experiment-paper")).to_be_visible()
+
+
+def list_experiments(console: Console, **fields: object) -> None:
+    """Have the console send a list that has all there can be: states, a fault, long names; `fields` are of "filter"."""
     cells = [
         {
             "behaviour": f"{name} cohesion_per_s=0.35 separation_m=0.8", "scenario": "concave", "robots": robots,
@@ -197,13 +203,12 @@ def open_experiments(console: Console) -> None:
         "corridors": {"state": "faulty", "fault": wrong, "can_start": False},
         "paper": {"state": "running", "by": "anna@lab", "results": results},
         "safety": {"state": "ended", "report": "/report/x/", "results": results},
-        "filter": {"state": "stopped", "report": "/report/y/", "results": results},
+        "filter": {"state": "stopped", "report": "/report/y/", "results": results, **fields},
         "paper_filter": {},
     }
     entries = [plain | {"id": f"package:{name}", "name": name} | fields for name, fields in states.items()]
     frame = {"t": "experiment_list", "folder": "experiments", "problem": "", "entries": entries}
     console.page.evaluate("(frame) => fake.say(frame)", frame)
-    expect(console.named("experiment-paper")).to_be_visible()
 
 
 @contextmanager
