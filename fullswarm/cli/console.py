@@ -18,6 +18,7 @@ from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
+    from fullswarm.operator.console.experiments import Bench
     from fullswarm.operator.console.server import PageSource
     from fullswarm.operator.console.tokens import Role
     from fullswarm.runtime import Scheduler
@@ -83,6 +84,12 @@ def console(
         Path | None,
         typer.Option(metavar="FILE", help="Draw this under the map: a floor plan, a map of ROS (YAML), MBTiles."),
     ] = None,
+    experiments: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Offer the experiment files in it, results beside them (default: experiments)."
+        ),
+    ] = None,
     as_json: Json = False,
     study: Annotated[Path | None, typer.Option("--study", hidden=True)] = None,
     recorded_to: Annotated[Path | None, typer.Option("--recorded-to", hidden=True)] = None,
@@ -117,6 +124,7 @@ def console(
         underlay=underlay,
         api=api_tokens or (_tokens_file(of_programs=True) if api else None),
         recording=_recording_of(target, recorded_to),
+        bench=_bench(target, experiments),
         icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},
     )
     with contextlib.ExitStack() as stack:
@@ -237,6 +245,16 @@ def _recording_of(target: Target, given: Path | None) -> Callable[[], Path | Non
     from fullswarm.record.session import RecordingFinder
 
     return RecordingFinder(target, given)
+
+
+def _bench(target: Target, folder: Path | None) -> Bench:
+    """Return where experiments are: in `folder`, else in ``experiments`` here, which need not be there yet."""
+    from fullswarm.launch.processes import usual_audit_folder
+    from fullswarm.operator.console.experiments import Bench
+
+    if folder is not None and not folder.is_dir():
+        raise ConfigError("no such folder", where=f"--experiments {folder}", hint="make it, or name another one")
+    return Bench(folder or Path("experiments"), usual_audit_folder(f"{target.swarm}-experiments"))
 
 
 def _recorded(file: Path) -> Callable[..., PageSource[Any]]:

@@ -93,6 +93,7 @@ def run_experiment(
         ),
     ] = None,
     as_json: Json = False,
+    parent: Annotated[int | None, typer.Option("--parent", hidden=True)] = None,
 ) -> int:
     """Run an experiment. Exit code 0: none failed, and none collided except where the file expects it; 1 otherwise."""
     from fullswarm.evaluate.experiment import run as experiment
@@ -118,8 +119,25 @@ def run_experiment(
         insecure_network=insecure_network,
         evidence=evidence,
         record=record,
+        parent=parent,
     )
     return experiment.run(options)
+
+
+@experiment_app.command("list")
+@shell_command()
+def list_experiments(
+    folder: Annotated[
+        Path, typer.Argument(metavar="[FOLDER]", help="Experiment files, with their results beside them.")
+    ] = Path(),
+    as_json: Json = False,
+    to: Annotated[Path | None, typer.Option("--to", hidden=True)] = None,
+    parent: Annotated[int, typer.Option("--parent", hidden=True)] = 0,
+) -> int:
+    """List the experiments that can be run, the package's and those of a folder, and how far each one is."""
+    from fullswarm.evaluate.experiment import listing
+
+    return listing.list_experiments(folder, as_json) if to is None else listing.follow(folder, to, parent)
 
 
 @experiment_app.command("trial")

@@ -217,6 +217,9 @@ def up(
     api: Annotated[
         bool, typer.Option("--api", help="With --console: also serve programs, as `console --api` does.")
     ] = False,
+    experiments: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="With --console: offer the experiment files in it.")
+    ] = None,
     record: Record = None,
     insecure_network: Insecure = False,
     reload: Reload = False,
@@ -229,7 +232,7 @@ def up(
 
     return run(
         config, insecure_network, network,
-        console=console, api=api, develop=_developed(reload, fleet), record=record,
+        console=console, api=api, experiments=experiments, develop=_developed(reload, fleet), record=record,
     )  # fmt: skip
 
 

@@ -51,6 +51,7 @@ def run(
     *,
     console: bool = False,
     api: bool = False,
+    experiments: Path | None = None,
     develop: Path | None = None,
     record: Path | None = None,
 ) -> int:
@@ -62,6 +63,7 @@ def run(
     Parameters
     ----------
     api : the console serves programs, too
+    experiments : folder of the experiment files that the console offers; None: the usual one
     develop : folder of a package whose behaviours are loaded again when their files change
     record : file for a recording of the whole run
 
@@ -74,6 +76,9 @@ def run(
     """
     if api and not console:
         raise ConfigError("programs are served by the console", where="--api", hint="add --console")
+    if experiments is not None and not (console and experiments.is_dir()):
+        what, hint = ("no such folder", "make it") if console else ("the console offers experiments", "add --console")
+        raise ConfigError(what, where=f"--experiments {experiments}", hint=hint)
     if console and (problem := missing_extra()):
         raise MissingExtra(problem, hint=INSTALL)
     if record is not None:
@@ -102,6 +107,7 @@ def run(
             reload.watch(develop, runtime)
         if console:
             options: tuple[str, ...] = ("--api",) if api else ()
+            options += () if experiments is None else ("--experiments", str(experiments.absolute()))
             options += () if record is None else ("--recorded-to", str(record.absolute()))
 
             def show(address: str) -> None:

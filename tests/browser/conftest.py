@@ -29,6 +29,29 @@ ROBOTS = tuple(f"r{number}" for number in range(1, 9))
 OPTIONS = ("--seconds", "3600", "--set", "world.engine=kinematic")
 """The show must not end while it is looked at; kinematic bodies leave the processor to the browser."""
 
+EXPERIMENT = """
+name = "meet"
+description = "Two robots go to one place, with and without the safety filter"
+seeds = "0-9"
+
+[limits.create]
+speed_limit_m_s = 0.5
+turn_limit_rad_s = 4.25
+
+[small]
+seeds = "0"
+engines = ["kinematic"]
+
+[[groups]]
+name = "meet"
+behaviours = [{ name = "move_to_goal", collisions_expected = true }, { name = "move_to_goal_bc" }]
+scenarios = ["empty"]
+robots = [2]
+engines = ["kinematic"]
+limits = ["create"]
+time_limit_s = 4.0
+"""
+
 expect.set_options(timeout=15_000)  # ms; the five seconds of Playwright are few where other work shares the machine
 
 Snap = Callable[[Page, str], None]
@@ -52,9 +75,18 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="session")
-def demo(browser: Browser) -> Iterator[Demo]:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the demo's shell, with an experiment that takes seconds."""
+    folder = tmp_path_factory.mktemp("shell")
+    (folder / "experiments").mkdir()
+    (folder / "experiments" / "meet.toml").write_text(EXPERIMENT)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def demo(browser: Browser, folder: Path) -> Iterator[Demo]:
     """Return the swarm; the browser is there before it, so that the page sees its robots set off."""
-    started = Demo(*OPTIONS)
+    started = Demo(*OPTIONS, folder=folder)
     yield started
     started.close()
 

@@ -105,6 +105,7 @@
       this.say(timeline());
       this.say(catalogue());
       this.say({ t: "bookmarks", bookmarks: [{ id: "b1", at: now_s(), name: "the first turn", by: "anna" }], clips: "" });
+      this.say({ t: "experiments", refusal: "", running: null });
       this.tick();
     }
 

@@ -168,6 +168,79 @@ def bookmarks(console: Console) -> Iterator[None]:
     console.named("time-close").click()
 
 
+def open_experiments(console: Console) -> None:
+    """Open the panel, with a list."""
+    fold = console.named("bar-fold")
+    if fold.is_visible():
+        fold.click()
+    console.named("experiments-toggle").click()
+    list_experiments(console)
+    expect(console.named("experiment-paper")).to_be_visible()
+
+
+def list_experiments(console: Console, **fields: object) -> None:
+    """Have the console send a list that has all there can be: states, a fault, long names; `fields` are of "filter"."""
+    cells = [
+        {
+            "behaviour": f"{name} cohesion_per_s=0.35 separation_m=0.8", "scenario": "concave", "robots": robots,
+            "words": f"{name} concave kinematic paper", "trials": 6, "failed": robots // 32, "collisions": 24 * robots,
+            "expected": name == "flocking", "arrived": 0.98,
+        }
+        for name in ("flocking", "flocking_bc") for robots in (4, 8, 16, 32)
+    ]  # fmt: skip
+    results = {
+        "trials": 192, "finished": 77, "failed": 2, "collisions": 2880, "unexpected": 1440, "left_s": 130, "older": 3,
+        "unreadable": 1, "cells": cells, "more_cells": 20,
+        "failures": ["flocking_bc concave N=32 kinematic paper seed 3: it took longer than 600 s (2 times)"],
+    }  # fmt: skip
+    plain = {
+        "kind": "package", "description": "Move to goal with and without barrier certificates", "fault": "",
+        "trials": 640, "small_trials": 192, "seeds": "0-19", "small_seeds": "0-5", "can_start": True, "state": "new",
+        "by": "", "stopping": False, "words": "", "bad": False, "report": "", "results": None,
+    }  # fmt: skip
+    wrong = "experiments/corridors_of_the_new_hall.toml:12: groups[0].scenarios: there is no scenario 'corridr'"
+    states: dict[str, dict[str, object]] = {
+        "corridors": {"state": "faulty", "fault": wrong, "can_start": False},
+        "paper": {"state": "running", "by": "anna@lab", "results": results},
+        "safety": {"state": "ended", "report": "/report/x/", "results": results},
+        "filter": {"state": "stopped", "report": "/report/y/", "results": results, **fields},
+        "paper_filter": {},
+    }
+    entries = [plain | {"id": f"package:{name}", "name": name} | fields for name, fields in states.items()]
+    frame = {"t": "experiment_list", "folder": "experiments", "problem": "", "entries": entries}
+    console.page.evaluate("(frame) => fake.say(frame)", frame)
+
+
+@contextmanager
+def experiments(console: Console) -> Iterator[None]:
+    """The list of experiments."""
+    open_experiments(console)
+    yield
+    console.named("experiments-close").click()
+
+
+@contextmanager
+def experiment(console: Console) -> Iterator[None]:
+    """An experiment that runs."""
+    open_experiments(console)
+    console.named("experiment-paper").click()
+    expect(console.named("experiment-stop")).to_be_visible()
+    yield
+    console.named("experiment-back").click()
+    console.named("experiments-close").click()
+
+
+@contextmanager
+def experiment_stopped(console: Console) -> Iterator[None]:
+    """An experiment that can be continued, and whose report can be opened."""
+    open_experiments(console)
+    console.named("experiment-filter").click()
+    expect(console.named("experiment-report")).to_be_visible()
+    yield
+    console.named("experiment-back").click()
+    console.named("experiments-close").click()
+
+
 @contextmanager
 def stick(console: Console) -> Iterator[None]:
     show(console, "drive")
@@ -221,4 +294,5 @@ STATES: dict[str, State] = {
     "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
     "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts,
     "lines": lines, "chart form": chart_form, "log": log,
+    "experiments": experiments, "experiment": experiment, "experiment_stopped": experiment_stopped,
 }  # fmt: skip

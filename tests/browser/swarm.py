@@ -13,6 +13,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import psutil
 
@@ -30,12 +31,17 @@ OTHER = "berta@lab"
 
 
 class Demo:
-    """The process and its children; `address` is the page's."""
+    """The process and its children; `address` is the page's.
 
-    def __init__(self, *options: str) -> None:
+    Parameters
+    ----------
+    folder : the shell's; None: the one of the tests
+    """
+
+    def __init__(self, *options: str, folder: Path | None = None) -> None:
         self.process = subprocess.Popen(
             [sys.executable, "-m", "fullswarm", "demo", "--stay", "--no-open", *options],
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=folder,
         )  # fmt: skip
         self._lines: queue.Queue[str] = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()

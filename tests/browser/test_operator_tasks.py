@@ -1,15 +1,18 @@
 """What a first-time operator does, task by task: with how few acts, and what the robots then really do.
 
 An act is a click, a key, a drag, a hold, or a text typed into a field. The figures are the measure of the page itself:
-a task that suddenly takes more acts has become harder. To watch an experiment is not there yet: it has no page.
+a task that suddenly takes more acts has become harder.
 """
 
 from __future__ import annotations
 
+import json
+import re
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Locator, expect
@@ -233,3 +236,36 @@ def test_the_last_minute_is_looked_at_again(hand: Hand, snap: Snap) -> None:
     hand.key("l")
     console.until(lambda: console.state["time"]["live"], 10.0, "it is live again")
     assert len(hand.acts) == 7
+
+
+def test_an_experiment_is_started_watched_and_its_report_opened(
+    hand: Hand, demo: Demo, folder: Path, snap: Snap
+) -> None:
+    page = hand.console.page
+    hand.click("experiments-toggle")
+    hand.click("experiment-meet")
+    hand.click("experiment-start")
+    now = hand.console.named("experiment-now")
+    expect(now).to_contain_text("Running, started by")
+    other = page.context.new_page()
+    other.goto(demo.address)
+    other.get_by_test_id("experiments-toggle").click()
+    expect(other.get_by_test_id("experiment-state-meet")).to_contain_text(re.compile("running|ended"))
+    other.close()
+    expect(now).to_contain_text("It has ended: 2 of 2 trials", timeout=150_000)
+    snap(page, "task-experiment")
+    errors: list[str] = []
+    with page.context.expect_page() as opened:
+        page.context.once("page", lambda tab: tab.on("console", lambda said: errors.append(said.text)))
+        hand.click("experiment-report")
+    report = opened.value
+    results = [json.loads(each.read_bytes()) for each in (folder / "experiments/meet/trials").glob("*/result.json")]
+    seconds = sum(each["outcome"]["simulated_s"] for each in results)
+    tiles = report.locator(".tiles li")
+    expect(tiles.filter(has_text="trials done").locator("b")).to_have_text(str(len(results)))
+    expect(tiles.filter(has_text="simulated").locator("b")).to_have_text(f"{seconds:.0f} s")
+    assert report.evaluate("self.origin") == "null", "it is apart from the console's page"
+    assert errors == []
+    report.close()
+    assert len(hand.acts) == 4
+    hand.console.named("experiments-close").click()

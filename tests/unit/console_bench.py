@@ -26,6 +26,7 @@ from fullswarm.messages import (
     RobotStates,
 )
 from fullswarm.operator.console import frames
+from fullswarm.operator.console.experiments import Bench
 from fullswarm.operator.console.gateway import Gateway, Identity
 from fullswarm.operator.console.sessions import OperatorSession
 from fullswarm.runtime import Runtime
@@ -83,7 +84,9 @@ class Page:
 class ConsoleBench:
     """The gateway with a bus, a core and pages."""
 
-    def __init__(self, *, read_only: bool = False, core: bool = True, study: Path | None = None) -> None:
+    def __init__(
+        self, *, read_only: bool = False, core: bool = True, study: Path | None = None, bench: Bench | None = None
+    ) -> None:
         self.runtime = Runtime(SimClock(100.0))
         self.bus = LocalBus(self.runtime.mailbox)
         self.database = dict(DATABASE)
@@ -95,7 +98,8 @@ class ConsoleBench:
             self.bus.subscribe(key, Message, self.sent.append)
         self.wall_s = 1_700_000_000.0
         self.gateway = Gateway(
-            self.bus, KEYS, self.runtime, Identity("base", "console@base:1", "9.9", read_only, study=study),
+            self.bus, KEYS, self.runtime,
+            Identity("base", "console@base:1", "9.9", read_only, study=study, bench=bench),
             lambda: self.wall_s,
         )  # fmt: skip
         self.run(0.01)

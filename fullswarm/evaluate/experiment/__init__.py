@@ -6,6 +6,7 @@
 ``pool.py``      processes that run trials, one each at a time, with a time limit, replaced when they die
 ``dask.py``      the same on more than one machine
 ``outcomes.py``  outcomes of trials, joined by cell, and their table
+``listing.py``   `fullswarm experiment list`: what can be run, and how far each one is
 ``watch.py``     `fullswarm experiment watch`: the progress, from the results folder
 """
 

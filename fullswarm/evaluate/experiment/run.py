@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -91,6 +92,7 @@ class Options:
     insecure_network: bool = False  # with `fleet`
     evidence: str | None = None  # instead of the file's `EvidenceMode`
     record: bool | None = None  # into the folder; None: live runs, if what that needs is installed
+    parent: int | None = None  # process with which the run ends, as by Ctrl-C; None: with none
 
     @property
     def recordings(self) -> Path | None:
@@ -248,7 +250,9 @@ def _run_all(trials: list[Trial], experiment: Experiment, options: Options, run_
     collisions = failed = 0
     with (
         output.Progress("trials", len(trials), at_once=True) as progress,
-        _runner(min(options.jobs, len(trials)), experiment, options, run_one, progress.tick) as run_trials,
+        _runner(
+            min(options.jobs, len(trials)), experiment, options, run_one, partial(_idle, progress, options.parent)
+        ) as run_trials,
     ):
         progress.at(0)
         for done, (trial, result) in enumerate(run_trials(trials), 1):
@@ -259,6 +263,13 @@ def _run_all(trials: list[Trial], experiment: Experiment, options: Options, run_
             _print_trouble(trial, result, progress.say)
             progress.at(done, f"{collisions} collisions, {failed} failed")
             yield trial, result
+
+
+def _idle(progress: output.Progress, parent: int | None) -> None:
+    """Show the progress; end as by Ctrl-C when the process that started this one is gone."""
+    progress.tick()
+    if parent is not None and os.getppid() != parent:
+        raise KeyboardInterrupt
 
 
 @contextmanager

@@ -25,6 +25,8 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``timeline.py``  lets pages look back: sends segments at a bounded rate
 ``bookmarks.py`` moments with a name, kept beside a recording
 ``clips.py``     makes clips in a process of its own, and keeps them for download
+``experiments.py``  lists, starts and stops experiments, in processes of their own
+``children.py``  starts processes that work for pages behind all else, and ends them
 ``study.py``     conducts a trial of a human-swarm study: phases, probes, questionnaire, log of the input
 
 The server knows no robots, and serves the runtime of the nodes on its own loop, without a further thread:
@@ -32,6 +34,7 @@ The server knows no robots, and serves the runtime of the nodes on its own loop,
 ``frames.py``    the frames that a page may send, and their checks
 ``server.py``    the web application: files, WebSockets, frames that wait for a slow page
 ``tokens.py``    tokens: whose they are, what they allow, how long they count
+``reports.py``   serves the reports of experiments, and has them made
 ``underlay.py``  what lies under the map: reads a plan, a map of ROS or tiles, and serves it
 ``access.py``    access control: Host, Origin, token, limits of unverified connections
 ``serve.py``     the loop, start and end; opens the page in a browser
@@ -56,6 +59,7 @@ of ``index.html`` and a line in ``main.js``:
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
 ``summary.js``    the fleet in words
+``experiments.js``  the panel of experiments; ``experiments.css``: its looks
 ``camera.js``     the pictures of the cameras
 ``people.js``      the operators on this console, and hand-over; ``people.css``: looks of it, of guide and log filter
 ``guide.js``       the guide for the first minute; ``tips.js``: tooltips

@@ -198,6 +198,15 @@ class HandOver(Frame, frozen=True, kw_only=True):
     id: Annotated[str, Meta(max_length=32)] = ""
 
 
+class Experiment(Frame, frozen=True, kw_only=True):
+    """Begin or end to look at the list of experiments, start one, stop the one that runs; no `seeds`: the file's."""
+
+    op: Literal["watch", "unwatch", "start", "stop"]
+    id: Annotated[str, Meta(max_length=300)] = ""
+    small: bool = True
+    seeds: Annotated[str, Meta(pattern=r"\A([0-9]{1,19}(-[0-9]{1,19})?)?\Z")] = ""
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
@@ -205,7 +214,7 @@ class Ping(Frame, frozen=True, kw_only=True):
 Past = Look | Mark | Clip
 Command = (
     Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Inspect | Charts
-    | Undo | Group | Keep | HandOver | Ping
+    | Undo | Group | Keep | HandOver | Experiment | Ping
 )  # fmt: skip
 
 

@@ -35,6 +35,7 @@ from fullswarm.operator.console.cameras import Cameras
 from fullswarm.operator.console.charts import ChartDesk
 from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.detail import Details
+from fullswarm.operator.console.experiments import Bench, Experiments
 from fullswarm.operator.console.handover import HandOvers, Surroundings
 from fullswarm.operator.console.history import History
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, named
@@ -77,6 +78,7 @@ class Identity:
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
     study: Path | None = None  # folder of a trial with its plan; None: no study
     recording: Callable[[], Path | None] = lambda: None  # the recording that is made of the swarm now, on this machine
+    bench: Bench | None = None  # where experiments are; None: pages are offered none
 
 
 class Gateway:
@@ -126,11 +128,15 @@ class Gateway:
             on_world=lambda: self._changed.add("world"),
             on_orders=lambda _: self._changed.add("goals"),
         )
+        self.experiments = None if identity.bench is None or identity.study is not None else Experiments(
+            identity.bench, scheduler, identity.process, wall_s, self._send, self._note
+        )  # fmt: skip
         self._context = ConsoleContext(
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,
             self._new_desk(bus, wall_s), self.timeline.handle, self._charts.handle,
             Known(self._asked, self._world.orders, self._world.record, self._world.title), self._note,
             lambda command, session: self._hand_overs.handle(command, session),
+            self.experiments,
         )  # fmt: skip
         self._desk = self._context.study
         self._presence = Presence(self._sessions.values, self._holders, wall_s)
@@ -239,6 +245,8 @@ class Gateway:
             subscription.close()
         if self._desk is not None:
             self._desk.close()
+        if self.experiments is not None:
+            self.experiments.close()
         self.timeline.close()
         self._charts.close()
         self._world.close()
@@ -297,6 +305,7 @@ class Gateway:
             "timeline": self.timeline.shown,
             "bookmarks": self.timeline.bookmarks,
             "catalogue": self._charts.catalogue,
+            "experiments": lambda: None if self.experiments is None else self.experiments.shown(),
         }
 
     def _hello(self, session: OperatorSession, now_s: float) -> Made:

@@ -36,6 +36,7 @@ from fullswarm.runtime import Runtime, Scheduler
 if TYPE_CHECKING:
     import uvicorn
 
+    from fullswarm.operator.console.experiments import Bench
     from fullswarm.operator.console.gateway import Gateway
     from fullswarm.operator.console.server import PageSource
     from fullswarm.operator.console.underlay import Underlay
@@ -71,6 +72,7 @@ class Options:
     api: Path | None = None  # file with the tokens of programs; None: no interface for them
     underlay: Path | None = None  # drawn under the map: a plan, a map of ROS, tiles; None: nothing
     recording: Callable[[], Path | None] = lambda: None  # the recording that is made of the swarm now, on this machine
+    bench: Bench | None = None  # where experiments are; None: pages are offered none
 
 
 def serve(
@@ -203,6 +205,7 @@ async def _serve(
 ) -> int:
     from fullswarm.operator.console.access import Names, lower, uvicorn_server
     from fullswarm.operator.console.api.server import Api
+    from fullswarm.operator.console.reports import Reports
     from fullswarm.operator.console.server import Pages, Web
 
     token, doorkeeper = access
@@ -219,17 +222,19 @@ async def _serve(
         process = f"console@{socket.gethostname()}:{os.getpid()}"
         runtime_loop = RuntimeLoop(runtime, loop, fail)
         shown: PageSource[Any]
-        api = None
+        api = reports = None
         if recording is not None:
             shown = recording(runtime)
         else:
             shown = gateway = _gateway(stack, runtime, keys, target, options, process)
+            reports = None if gateway.experiments is None else Reports(gateway.experiments)
             if options.api is not None:
                 tokens = Doorkeeper("", wall_time_s, file=TokenFile(options.api))
                 api = Api(gateway, tokens, runtime.now_s, runtime_loop.wake, process)
         names = Names(host, port, lower(options.allow_hosts))
         web = Web(shown, doorkeeper, runtime.now_s, runtime_loop.wake, underlay)
-        server = uvicorn_server(web.app(names, Pages(), *(() if api is None else (api.route(),))))
+        more = [each.route() for each in (api, reports) if each is not None]
+        server = uvicorn_server(web.app(names, Pages(), *more))
         ended_by = end_on_signals(loop, server)
         address = url(host, port, token, options.allow_hosts)
         loop.call_soon(on_start, address, runtime, lambda: setattr(server, "should_exit", True))
@@ -239,6 +244,8 @@ async def _serve(
         await server.serve([listener])
         if api is not None:
             api.close()
+        if reports is not None:
+            reports.close()
         shown.close()
         runtime_loop.close()
     if failed:
@@ -258,7 +265,8 @@ def _gateway(
     stack.callback(bus.close)
     renew_later(bus, runtime, keys, credentials)
     identity = Identity(
-        socket.gethostname(), process, __version__, options.read_only, options.icons, options.study, options.recording
+        socket.gethostname(), process, __version__, options.read_only, options.icons, options.study,
+        options.recording, options.bench,
     )  # fmt: skip
     return Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
 

@@ -277,6 +277,7 @@ class Pages:
 NEWEST_WINS = frozenset(
     {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop", "study"}
     | {"history", "timeline", "events", "bookmarks", "undo", "detail", "presence", "offers", "series", "catalogue"}
+    | {"experiments", "experiment_list"}
 )
 """Frames that are complete: a page that was busy needs only the last one."""
 PICTURES = "picture "

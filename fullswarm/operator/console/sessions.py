@@ -39,6 +39,8 @@ OBSERVER = "your token is that of an observer: it shows everything and sends not
 NO_CLEAR = "your token is that of a driver: an operator who has looked at the robots clears their e-stop"
 NO_TAKE = "your token is that of a driver: it takes no robots over from their holders"
 READ_ONLY = "this console is read-only: it was started with --read-only"
+NO_EXPERIMENTS = "your token is that of a driver: it starts and stops no experiments"
+NOT_OFFERED = "this console offers no experiments"
 NO_GROUPS = "your token is that of a driver: it makes no groups"
 NO_KEEPING = "your token is that of a driver: it keeps no places and no requests"
 IN_STUDY = "this is not offered in a study"
@@ -65,6 +67,22 @@ class Listener(Protocol):
         ...
 
 
+class ExperimentDesk(Protocol):
+    """Lists and runs experiments; see :class:`fullswarm.operator.console.experiments.Experiments`."""
+
+    def watch(self, listener: Listener, on: bool) -> None:
+        """Begin or end to send a page the list."""
+        ...
+
+    def start(self, command: frames.Experiment, by: str) -> str:
+        """Start one; return why not, or empty."""
+        ...
+
+    def stop(self, command: frames.Experiment, by: str) -> str:
+        """End the one that runs; return why not, or empty."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class ConsoleContext:
     """What all operator sessions share."""
@@ -82,6 +100,7 @@ class ConsoleContext:
     undo: Known
     note: Callable[[str, str], None]  # logs what an operator has changed: text, name
     hand_over: Callable[[frames.HandOver, OperatorSession], str]  # carries it out, or returns why not
+    experiments: ExperimentDesk | None = None  # None: this console offers none
 
 
 class OperatorSession:
@@ -122,6 +141,8 @@ class OperatorSession:
             if listener in pages:
                 pages.remove(listener)
         self.inspected.pop(listener, None)
+        if self._context.experiments is not None:
+            self._context.experiments.watch(listener, False)
         if self._driver is listener or not self.listeners:
             self._blocked = ""
             self._release()
@@ -153,6 +174,9 @@ class OperatorSession:
             return self._chart(command, listener)
         if isinstance(command, frames.Look):
             return self._context.look(command, listener, self.name)
+        if isinstance(command, frames.Experiment):
+            reason = self._experiment(command, listener)
+            return Answer(ref=ref, ok=not reason, reason=reason)
         if self._context.read_only:
             return Answer(ref=ref, ok=False, reason=READ_ONLY)
         if reason := refusal_of(self.role, clears=isinstance(command, frames.Clear), takes=_takes(command)):
@@ -181,6 +205,20 @@ class OperatorSession:
         if on and listener in self.listeners:
             self.watchers.append(listener)
         return Answer(ref=ref)
+
+    def _experiment(self, command: frames.Experiment, listener: Listener) -> str:
+        """Show experiments to whoever looks on; start and stop them for operators. Return why not, or empty."""
+        desk = self._context.experiments
+        if desk is None:
+            return NOT_OFFERED
+        if command.op in ("watch", "unwatch"):
+            desk.watch(listener, command.op == "watch" and listener in self.listeners)
+            return ""
+        if self._context.read_only:
+            return READ_ONLY
+        if self.role != "operator":
+            return OBSERVER if self.role == "observer" else NO_EXPERIMENTS
+        return desk.start(command, self.name) if command.op == "start" else desk.stop(command, self.name)
 
     def _carry_out(self, command: frames.Command, listener: Listener) -> Answer:
         ref = command.ref

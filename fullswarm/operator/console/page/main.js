@@ -10,7 +10,7 @@
  *           chartform.js), log.js, legend.js, camera.js, banners.js,
  *           study.js (the dialogs of a study); words.js (words for people), summary.js (the fleet in words, spoken),
  *           layout.js (tabs, menus), logfilter.js (which lines of the log), people.js (operators, hand-over), guide.js (the first
- *           minute), tips.js (tooltips)
+ *           minute), tips.js (tooltips), experiments.js (in place of a panel)
  * map       map.js (the loop), underlay.js, ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js,
  *           pointer.js, toolbar.js, viewport.js, geometry.js, palette.js, theme.js
  * time      past.js (plays the past into the store that is shown), timeline.js (the bar below the map),
@@ -28,6 +28,7 @@ import { byId, setText } from "./dom.js";
 import { DetailPane } from "./detail.js";
 import { ArrowDrive, Driver, Pad } from "./drive.js";
 import { FleetTable } from "./fleet.js";
+import { Experiments } from "./experiments.js";
 import { GroupBar } from "./groups.js";
 import { Guide } from "./guide.js";
 import { Keyboard } from "./keyboard.js";
@@ -102,6 +103,7 @@ new Summary(store);
 new Signals(present, banners);
 new Missions({ store, commands });
 new CameraView({ store: present, link });
+new Experiments({ store: present, link });
 new Study({ store: present, link, selection, map, tools });
 const timeBar = new TimeBar({ past, present, commands });
 new Marks({ past, present, link, bar: timeBar });

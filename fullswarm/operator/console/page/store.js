@@ -6,7 +6,7 @@ import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
 /** @import { HandOverFrame, OffersFrame, PresenceFrame } from "./types.d.ts" */
-/** @import { Behaviour, Bookmark, Box, Camera, Catalogue, ClipFrame, Coverage, Detail, Dock, Entry, Estop, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Place, Point, RequestStatus, Robot, Rows, SavedRequest, Series, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
+/** @import { Behaviour, Bookmark, Box, Camera, Catalogue, ClipFrame, Coverage, Detail, Dock, Entry, Estop, ExperimentList, ExperimentsFrame, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Place, Point, RequestStatus, Robot, Rows, SavedRequest, Series, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
 
 const COUNTED = new Intl.Collator("en", { numeric: true }); // ten times as fast as localeCompare
 const LOG_KEPT = 500;
@@ -14,7 +14,8 @@ const LOG_KEPT = 500;
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, coverage,
  * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study,
- * underlay, cameras, picture, undo, detail, presence, offers, handover, catalogue, series, rows; timeline, history,
+ * underlay, cameras, picture, undo, detail, presence, offers, handover, catalogue, series, rows, experiments,
+ * experiment_list; timeline, history,
  * events (all), event, bookmarks, clip.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
  *   goals: Store["goals"], docks: Dock[], coverage: Coverage | null, obstacles: number[][], log: Entry | null,
@@ -23,7 +24,7 @@ const LOG_KEPT = 500;
  *   underlay: UnderlayFrame, cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string},
  *   undo: UndoFrame, detail: Detail, timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
  *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame,
- *   catalogue: Catalogue, series: Series, rows: Rows, presence: PresenceFrame, offers: OffersFrame, handover: HandOverFrame}>}
+ *   experiments: ExperimentsFrame, experiment_list: ExperimentList, catalogue: Catalogue, series: Series, rows: Rows, presence: PresenceFrame, offers: OffersFrame, handover: HandOverFrame}>}
  */
 export class Store extends Emitter {
   constructor() {
@@ -161,6 +162,8 @@ export class Store extends Emitter {
     catalogue: (message) => this.emit("catalogue", message),
     series: (message) => this.emit("series", message),
     rows: (message) => this.emit("rows", message),
+    experiments: (message) => this.emit("experiments", message),
+    experiment_list: (message) => this.emit("experiment_list", message),
   });
 
   /**

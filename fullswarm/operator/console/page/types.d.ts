@@ -412,6 +412,64 @@ export interface Rows {
   charts: { times: number[]; values: (number | null)[][] }[];
 }
 
+/** Which experiment runs, for all pages. */
+export interface ExperimentsFrame {
+  t: "experiments";
+  refusal: string;
+  running: { id: string; name: string; by: string; done: number | null; of: number | null } | null;
+}
+
+export interface ExperimentCell {
+  behaviour: string;
+  scenario: string;
+  robots: number;
+  words: string;
+  trials: number;
+  failed: number;
+  collisions: number | null;
+  expected: boolean;
+  arrived: number | null;
+}
+
+export interface ExperimentEntry {
+  id: string;
+  kind: "package" | "file" | "folder";
+  name: string;
+  description: string;
+  fault: string;
+  trials: number;
+  small_trials: number;
+  seeds: string;
+  small_seeds: string;
+  can_start: boolean;
+  state: "new" | "faulty" | "running" | "elsewhere" | "stopped" | "ended";
+  by: string;
+  stopping: boolean;
+  words: string; // what became of it when it ran last
+  bad: boolean;
+  report: string; // its address; empty: there is none now
+  results: {
+    trials: number | null;
+    finished: number;
+    failed: number;
+    collisions: number;
+    unexpected: number;
+    left_s: number | null;
+    older: number;
+    unreadable: number;
+    cells: ExperimentCell[];
+    more_cells: number;
+    failures: string[];
+  } | null;
+}
+
+export interface ExperimentList {
+  t: "experiment_list";
+  folder: string;
+  problem: string;
+  entries: ExperimentEntry[] | null; // null: not read yet
+}
+
 /** A part of the past. Its first frames are the newest of each kind when it began. */
 export interface History {
   t: "history";
@@ -483,6 +541,8 @@ export type Message =
   | Catalogue
   | Series
   | Rows
+  | ExperimentsFrame
+  | ExperimentList
   | Lost;
 
 declare global {
