@@ -16,7 +16,7 @@ from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.agent.safety.dead_time import Commands
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading, Hazard
-from fullswarm.messages import RobotStates
+from fullswarm.messages import RobotStates, StopRequest
 from fullswarm.reasons import TEXTS, Code
 from tests.unit.agent_bench import TICK_S, Bench
 
@@ -53,6 +53,22 @@ def test_a_low_battery_ends_the_task_at_once_and_says_so(bench: Bench) -> None:
     bench.enable("move_to_goal", FAR, request_id="q2")
     assert not bench.acks[-1].accepted
     assert (bench.acks[-1].code, bench.acks[-1].reason) == (Code.BATTERY, TEXTS[Code.BATTERY])
+
+
+def test_a_stop_says_that_a_person_has_seen_why_it_stands(bench: Bench) -> None:
+    battery(bench, 0.09)
+    bench.run(2 * TICK_S)
+    battery(bench, 0.5)
+    bench.bus.publish(bench.keys.stop, StopRequest(id="s1", source="ann"))
+    bench.run(2 * TICK_S)
+    assert bench.agent.inbox.ended[0] == reasons.reason(Code.STOPPED, by="ann")
+
+
+def test_a_stop_of_a_robot_that_was_asked_for_nothing_says_nothing() -> None:
+    bench = Bench([(2.0, 10.0, 0.0)])
+    bench.bus.publish(bench.keys.stop, StopRequest(id="s1", source="ann"))
+    bench.run(2 * TICK_S)
+    assert bench.agent.inbox.ended[0] == reasons.NONE
 
 
 def test_it_drives_again_only_when_charged_well_above_the_threshold(bench: Bench) -> None:

@@ -33,7 +33,7 @@ from fullswarm.messages import (
     RobotProfile,
     StopRequest,
 )
-from fullswarm.reasons import NONE, Code, Reason, given, reason, voided
+from fullswarm.reasons import DELIBERATE, NONE, Code, Reason, given, reason, voided
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
@@ -314,6 +314,8 @@ class Inbox:
         """Stop a robot and void all its requests, also for a core that does not receive the stop."""
         self._epochs[row].halt(why)
         self.void(row, why)
+        if self.ended[row] and self.ended[row].code not in DELIBERATE:
+            self.ended[row] = why  # who stops a robot that had stopped by itself has seen that
         self._drop(row)
 
     def _note_halt(self, row: int, order: StopRequest | EStop | None, *, estop: bool) -> None:
