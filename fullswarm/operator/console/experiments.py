@@ -423,7 +423,7 @@ class Experiments:
         self._run = None
         self._ended[run.id] = _Ended(words, bad, self._scheduler.now_s())
         self._note(f"the experiment {run.name} {words}", run.by)
-        self._record(f"ended: {words}", (self._entries or {}).get(run.id), run.by)
+        self._record("ended" if code == 0 else f"ended: {words}", (self._entries or {}).get(run.id), run.by)
 
     def _private(self) -> Path:
         """Return a folder that only this user may enter, for what passes between the processes."""
