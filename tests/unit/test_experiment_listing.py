@@ -153,7 +153,7 @@ def test_a_huge_folder_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_the_list_is_kept_in_a_file_until_its_parent_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "meet.toml").write_text(FILE)
     to, runtime, parent = tmp_path / "list.json", Runtime(SimClock()), [os.getppid()]
-    monkeypatch.setattr(listing.os, "getppid", lambda: parent[0])
+    monkeypatch.setattr(os, "getppid", lambda: parent[0])
     runtime.after(2.5, lambda: asked(tmp_path / "meet", trials=4))
     runtime.after(4.5, lambda: parent.append(parent.pop() + 1))
     assert follow(tmp_path, to, parent[0], runtime) == 0

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import re
 import secrets
-import shutil
-import signal
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any
 
-from fullswarm.operator.console import frames
+from fullswarm.operator.console import children, frames
 from fullswarm.operator.console.sessions import Listener
 from fullswarm.runtime import Scheduler
 
@@ -92,17 +87,12 @@ class Clips:
         name = f"{recording.stem}-{datetime.fromtimestamp(from_s):%H%M%S}.{kind}"
         out = Path(self._folder.name) / f"{secrets.token_hex(8)}.{kind}"
         command = [
-            sys.executable, "-m", "fullswarm", "record", "clip", str(recording), "--out", str(out),
+            "record", "clip", str(recording), "--out", str(out),
             "--from", _iso(from_s), "--to", _iso(to_s),
         ]  # fmt: skip
         log = out.with_suffix(".log").open("w+b")
-        # Behind all else on this machine: the swarm may run here, too.
-        nice = ["nice", "-n", "15"] if shutil.which("nice") else []
         try:
-            process = subprocess.Popen(  # noqa: S603  (no shell; all parts are our own)
-                [*nice, *command], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log,
-                start_new_session=True,
-            )  # fmt: skip
+            process = children.start(command, log)
         except OSError as error:
             log.close()
             return f"no clip: {error.strerror or error}"
@@ -131,9 +121,9 @@ class Clips:
                 self._end(job)
                 self._say(job, "failed", f"it took longer than {LONGEST_S / 60:.0f} minutes: choose a shorter part")
                 return
-            self._say(job, "running", _progress(_text(job.log)))
+            self._say(job, "running", _progress(children.tail(job.log)))
             return
-        text = _text(job.log)
+        said = children.last_line(job.log)
         self._end(job)
         if code == 0 and job.out.exists():
             key = secrets.token_urlsafe(24)
@@ -143,30 +133,16 @@ class Clips:
                 oldest.file.unlink(missing_ok=True)
             self._say(job, "done", f"{job.name}, {job.out.stat().st_size / 1e6:.1f} MB", f"/clip/{key}")
         else:
-            lines = text.decode(errors="replace").strip().splitlines()
-            self._say(job, "failed", (lines[-1].removeprefix("error: ") if lines else f"exit code {code}")[:WORDS])
+            self._say(job, "failed", (said or f"exit code {code}")[:WORDS])
 
     def _end(self, job: _Job) -> None:
         self._job = None
-        if job.process.poll() is None:
-            with contextlib.suppress(OSError):
-                if os.name == "posix":
-                    os.killpg(job.process.pid, signal.SIGKILL)  # with ffmpeg, which it may have started
-                else:
-                    job.process.kill()
-            job.process.wait()
+        children.end(job.process)  # with ffmpeg, which it may have started
         job.log.close()
 
     def _say(self, job: _Job, state: str, words: str, url: str = "") -> None:
         frame: dict[str, Any] = {"t": "clip", "state": state, "words": words, "url": url, "name": job.name}
         job.listener.put("clip", frames.encode(frame))
-
-
-def _text(log: IO[bytes]) -> bytes:
-    """Return the end of what the process has written."""
-    size = log.seek(0, os.SEEK_END)
-    log.seek(max(0, size - 4096))
-    return log.read()
 
 
 def _progress(text: bytes) -> str:

@@ -168,6 +168,7 @@ class Experiments:
         self._problem = ""  # why there is no list
         self._stamp: tuple[int, int] = (0, 0)
         self._entries: dict[str, Entry] | None = None
+        self._text: str | None = None  # the frame of the list; None: something has changed
         self._keys: dict[str, str] = {}  # id → secret part of the address of its report
         self._run: _Run | None = None
         self._ended: dict[str, _Ended] = {}
@@ -197,7 +198,7 @@ class Experiments:
         self._watchers.pop(listener, None)
         if on:
             self._watchers[listener] = None
-            listener.put("experiment_list", frames.encode(self._list()))
+            listener.put("experiment_list", self._encoded())
             self._look()
 
     def start(self, command: frames.Experiment, by: str) -> str:
@@ -304,12 +305,17 @@ class Experiments:
         found = (self._entries or {}).get(entry)
         return None if found is None else found.results
 
+    def _encoded(self) -> str:
+        """Return the frame of the list, encoded once for all pages and however often they ask."""
+        if self._text is None:
+            self._text = frames.encode(self._list())
+        return self._text
+
     def _tell(self) -> None:
+        self._text = None
         self._send(self.shown())
-        if self._watchers:
-            text = frames.encode(self._list())
-            for listener in self._watchers:
-                listener.put("experiment_list", text)
+        for listener in self._watchers:
+            listener.put("experiment_list", self._encoded())
 
     # ---------------------------------------------------------------- reports
     def reported(self, key: str) -> tuple[Entry, str] | None:
@@ -373,6 +379,7 @@ class Experiments:
         except OSError as error:
             log.close()
             self._problem, self._again_s = f"no list: {error.strerror or error}", self._scheduler.now_s() + AGAIN_S
+            self._tell()
             return
         self._reader = _Reader(process, log)
 
@@ -403,8 +410,9 @@ class Experiments:
             self._problem = f"the list of experiments cannot be read: {error}"[:MOST_WORDS]
             return True
         self._entries, self._problem = {each.id: each for each in found.experiments}, ""
-        self._keys = {id_: key for id_, key in self._keys.items() if id_ in self._entries}
-        self._ended = {id_: ended for id_, ended in self._ended.items() if id_ in self._entries}
+        for known in (self._keys, self._ended):
+            for gone in known.keys() - self._entries.keys():
+                del known[gone]
         return True
 
     def _finish(self, run: _Run) -> None:
@@ -415,7 +423,7 @@ class Experiments:
         self._run = None
         self._ended[run.id] = _Ended(words, bad, self._scheduler.now_s())
         self._note(f"the experiment {run.name} {words}", run.by)
-        self._record(f"ended: {words}", (self._entries or {}).get(run.id), run.by)
+        self._record("ended" if code == 0 else f"ended: {words}", (self._entries or {}).get(run.id), run.by)
 
     def _private(self) -> Path:
         """Return a folder that only this user may enter, for what passes between the processes."""
