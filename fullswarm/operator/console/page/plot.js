@@ -184,7 +184,7 @@ export class Plot {
     });
     return {
       width: Math.max(50, this.holder.clientWidth), height: Math.max(50, this.holder.clientHeight), pxAlign: true,
-      legend: { show: false }, padding: [6, single ? 8 : MARGIN_PX, 0, 0],
+      legend: { show: false }, padding: [6, single ? 20 : MARGIN_PX, 0, 0],
       cursor: { x: true, y: false, drag: { x: false, y: false }, points: { size: 6 } },
       scales: { x: { time: false }, y: { range: (_plot, low, high) => range(low, high) } },
       series: [{}, ...series],
