@@ -176,7 +176,7 @@ def test_charts_have_the_values_of_the_fleet(calm: Console, observer: Observer, 
         assert [line[-1] for line in battery["values"]] == pytest.approx(
             [100 * level[each] for each in battery["lines"]], abs=1
         )
-    assert charts(calm)[5]["lines"] == [f"r{number}" for number in range(1, 9)]
+    assert charts(calm)[5]["lines"] == [row.robot for row in observer.rows()]
     (work,) = (each.values["total_m"] for each in observer.view.snapshot().summaries if each.metric == "work")
     assert charts(calm)[0]["values"][0][-1] == pytest.approx(work, abs=0.3)
     snap(calm.page, "charts-chosen")
