@@ -76,6 +76,11 @@ class Console:
         state: dict[str, Any] = self.page.evaluate("window.fullswarm.state")
         return state
 
+    def charts(self) -> list[dict[str, Any]]:
+        """Return what each chart shows: title, lines, times, values, or why there are none."""
+        found: list[dict[str, Any]] = self.page.evaluate("window.fullswarm.charts")
+        return found
+
     def places(self) -> dict[str, Point]:
         return {robot: (each["x"], each["y"]) for robot, each in self.state["robots"].items()}
 

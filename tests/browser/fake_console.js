@@ -53,7 +53,7 @@
     x: ["Position x", "m", 1, (robot, at) => 3 * Math.sin(at / 60 + robot.age_s * 50)], round_trip: ["Round trip", "s", 1, () => null],
   };
   const METRICS = {
-    "work.total_m": ["Work", "m", 1, (at) => at], "coverage.fraction": ["Coverage", "%", 100, (at) => Math.min(1, at / 1000)],
+    "work.total_m": ["Work", "m", 1, (at) => Math.max(0, at / 4 + 150)], "coverage.fraction": ["Coverage", "%", 100, (at) => Math.min(1, Math.max(0, (at + 600) / 1400))],
     "collisions.events": ["Collisions", "", 1, () => 2], "network.delay_max_s": ["Network, delay max", "s", 1, () => 0.012],
   };
 
@@ -112,7 +112,7 @@
     #chart(frame) {
       asked = frame;
       const at = frame.at ?? now_s();
-      this.say({ t: "series", ref: frame.ref, at: frame.at, to: at, charts: frame.charts.map((each) => drawn(each, at, 1200)) });
+      this.say({ t: "series", ref: frame.ref, number: 1, at: frame.at, to: at, charts: frame.charts.map((each) => drawn(each, at, 1200)) });
     }
 
     /** What the console sends all the time. */
@@ -124,7 +124,7 @@
       this.say({ t: "presence", people: swarm.people, here: swarm.people.filter(({ pages }) => pages).length, more: 0 });
       this.say({ t: "offers", offers: swarm.offers });
       const at = now_s();
-      if (asked) this.say({ t: "rows", ref: asked.ref, to: at, charts: asked.charts.map((each) => drawn(each, at, 1)) });
+      if (asked) this.say({ t: "rows", ref: asked.ref, number: 1, to: at, charts: asked.charts.map((each) => drawn(each, at, 1)) });
       this.say({ t: "event", event: { at, kind: "request", text: "flocking" } });
     }
 

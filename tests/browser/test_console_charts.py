@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, expect
@@ -32,20 +31,14 @@ def played(kept: Console) -> Iterator[Console]:
     kept.faultless()
 
 
-def charts(console: Console) -> list[dict[str, Any]]:
-    """Return what each chart shows."""
-    found: list[dict[str, Any]] = console.state["charts"]
-    return found
-
-
 def titles(console: Console) -> list[str]:
-    return [each["title"] for each in charts(console)]
+    return [each["title"] for each in console.charts()]
 
 
 def opened(console: Console, query: str) -> None:
     """Open the page with a query in its address, and wait until its charts have data or reasons."""
     console.page.goto(f"{ADDRESS}{query}")
-    console.until(lambda: all(each["times"] or each["why"] for each in charts(console)), 10.0, "the charts are there")
+    console.until(lambda: all(each["times"] or each["why"] for each in console.charts()), 10.0, "the charts are there")
 
 
 def choose(console: Console, of: str, who: str = "") -> None:
@@ -67,15 +60,15 @@ def test_a_chart_of_a_group_is_added_and_found_again(played: Console) -> None:
     expect(played.named("chart-title-3")).to_be_focused()
     assert titles(played)[3] == "Battery · west"
     assert "chart=battery@west" in played.page.url
-    played.until(lambda: charts(played)[3]["lines"] == ["r1", "r2", "r3"], 5.0, "a line for each robot")
-    assert [line[-1] for line in charts(played)[3]["values"]] == pytest.approx([20.0, 30.0, 40.0]), "%"
+    played.until(lambda: played.charts()[3]["lines"] == ["r1", "r2", "r3"], 5.0, "a line for each robot")
+    assert [line[-1] for line in played.charts()[3]["values"]] == pytest.approx([20.0, 30.0, 40.0]), "%"
     expect(played.named("chart-value-3")).to_have_text("20 to 40 %")
     expect(played.named("chart-table-3").locator("tr")).to_have_text(["r120 %", "r230 %", "r340 %"])
-    before = charts(played)
+    before = played.charts()
     played.page.reload()
-    played.until(lambda: bool(charts(played)[3]["times"]), 10.0, "the same charts again")
+    played.until(lambda: bool(played.charts()[3]["times"]), 10.0, "the same charts again")
     assert titles(played) == [each["title"] for each in before]
-    assert charts(played)[3]["lines"] == before[3]["lines"]
+    assert played.charts()[3]["lines"] == before[3]["lines"]
     asked = sent(played, "charts")[-1]["charts"]
     assert asked[3] == {"of": "battery", "robots": ["r1", "r2", "r3"]}
     assert [each["of"] for each in asked[:3]] == ["work.total_m", "coverage.fraction", "collisions.events"]
@@ -91,10 +84,10 @@ def test_a_chart_is_changed_and_removed(played: Console) -> None:
     for _ in range(4):
         played.named("chart-title-0").click()
         played.named("chart-remove").click()
-    assert charts(played) == []
+    assert played.charts() == []
     played.page.reload()
     played.until(lambda: bool(sent(played, "charts")), 5.0, "it asks for none")
-    assert charts(played) == []
+    assert played.charts() == []
     assert sent(played, "charts")[-1]["charts"] == []
     played.named("chart-add").click()
     played.page.keyboard.press("Escape")
@@ -149,7 +142,7 @@ def test_the_details_of_a_robot_chart_its_speed_and_battery(played: Console) -> 
         played.named(f"detail-chart-{field}").click()
     assert titles(played) == ["Work", "Speed · r5", "Battery · r5"]
     played.named("detail-chart-speed").click()
-    assert len(charts(played)) == 3, "it is there already"
+    assert len(played.charts()) == 3, "it is there already"
     expect(played.named("chart-note")).to_have_text("Charted: Speed · r5")
     assert "robot=r5" in played.page.url
 
@@ -161,31 +154,31 @@ def test_charts_have_the_values_of_the_fleet(calm: Console, observer: Observer, 
     for of, who in (("x", "Selected: r1, r2"), ("battery", "All robots"), ("speed", "All robots")):
         calm.named("chart-add").click()
         choose(calm, of, who)
-    calm.until(lambda: all(each["times"] for each in charts(calm)[3:]), 10.0, "they come")
-    x = charts(calm)[3]
+    calm.until(lambda: all(each["times"] for each in calm.charts()[3:]), 10.0, "they come")
+    x = calm.charts()[3]
     observer.fresh()
     assert x["lines"] == ["r1", "r2"]
     assert [line[-1] for line in x["values"]] == pytest.approx(
         [observer.places()[each][0] for each in ("r1", "r2")], abs=0.01
     )
     level = {row.robot: row.health.battery for row in observer.rows() if row.health is not None}
-    battery = charts(calm)[4]
+    battery = calm.charts()[4]
     if max(level.values()) < 0.0:
         expect(calm.named("chart-why-4")).to_have_text("no robot reports battery")
     else:
         assert [line[-1] for line in battery["values"]] == pytest.approx(
             [100 * level[each] for each in battery["lines"]], abs=1
         )
-    assert charts(calm)[5]["lines"] == [f"r{number}" for number in range(1, 9)]
+    assert calm.charts()[5]["lines"] == [row.robot for row in observer.rows()]
     (work,) = (each.values["total_m"] for each in observer.view.snapshot().summaries if each.metric == "work")
-    assert charts(calm)[0]["values"][0][-1] == pytest.approx(work, abs=0.3)
+    assert calm.charts()[0]["values"][0][-1] == pytest.approx(work, abs=0.3)
     snap(calm.page, "charts-chosen")
-    at_s = charts(calm)[3]["times"][-1]
+    at_s = calm.charts()[3]["times"][-1]
     calm.page.evaluate("(at_s) => window.fullswarm.look(at_s)", at_s - 2.0)
     expect(calm.named("chart-plot-3")).to_be_visible()
     calm.until(lambda: calm.state["time"]["ready"], 10.0, "the past is shown")
     calm.press("l")
-    calm.until(lambda: charts(calm)[3]["times"][-1] > at_s + 1.0, 10.0, "what is live goes on")
+    calm.until(lambda: calm.charts()[3]["times"][-1] > at_s + 1.0, 10.0, "what is live goes on")
     gaps = [later - sooner for sooner, later in zip(x["times"], x["times"][1:], strict=False)]
     assert all(math.isclose(gap, 0.5, abs_tol=0.3) for gap in gaps[-10:])
     for _ in range(3):

@@ -114,7 +114,7 @@ def test_chosen_charts_of_a_recording_end_at_the_moment(recording: Console, file
     for at_s in (27.0, 6.0, 14.0):
         look(recording, at_s)
         _wait_for_end(recording, at_s)
-        chart = recording.state["charts"][3]
+        chart = recording.charts()[3]
         here = places(file, chart["times"][-1])
         assert chart["lines"] == sorted(here)
         assert [line[-1] for line in chart["values"]] == pytest.approx(
@@ -129,7 +129,7 @@ def _wait_for_end(console: Console, at_s: float) -> None:
     """Wait until the chart that was added ends at a moment."""
 
     def ends() -> bool:
-        times = console.state["charts"][3]["times"]
+        times = console.charts()[3]["times"]
         return bool(times) and abs(times[-1] - at_s) <= 0.5
 
     console.until(ends, 10.0, f"the chart ends at {at_s} s")

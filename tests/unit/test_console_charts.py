@@ -260,6 +260,7 @@ def test_a_further_robot_joins_a_chart_of_all(bench: ConsoleBench) -> None:
     live(bench, 2.0, 3)
     assert page.last("series")["charts"][0]["lines"] == ["r1", "r2", "r3"]
     assert page.last("rows")["charts"][0]["values"][2] != [None]
+    assert page.last("rows")["number"] == page.last("series")["number"] == 2
 
 
 @pytest.mark.parametrize(

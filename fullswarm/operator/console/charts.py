@@ -48,12 +48,19 @@ class Lines:
 
 @dataclass(slots=True)
 class _Shown:
-    """The charts of a page; `sent_s`: up to when it has them, NaN before the whole was sent."""
+    """The charts of a page.
+
+    Attributes
+    ----------
+    sent_s : up to when the page has them; NaN before the whole was sent
+    number : of the whole: rows continue that one only, as they may overtake the next
+    """
 
     ref: int
     charts: tuple[Charted, ...]
     at_s: float | None
     sent_s: float = math.nan
+    number: int = 0
     lines: list[Lines] = field(default_factory=list)
 
 
@@ -124,7 +131,7 @@ class ChartDesk:
                     made[key] = self._drawn(chart, lines, shown.sent_s, now_s)
                 charts.append(made[key])
             shown.sent_s = now_s
-            frame = {"t": "rows", "ref": shown.ref, "to": round(now_s, 3), "charts": charts}
+            frame = {"t": "rows", "ref": shown.ref, "number": shown.number, "to": round(now_s, 3), "charts": charts}
             listener.put("rows", frames.encode(frame))
 
     # ---------------------------------------------------------------- whole charts
@@ -150,10 +157,11 @@ class ChartDesk:
         at_s = newest_s if shown.at_s is None else shown.at_s
         to_s = newest_s if shown.at_s is None else min(newest_s, at_s + AHEAD_S)
         shown.lines = [self._lines(each, at_s - CHART_S, to_s) for each in shown.charts]
-        shown.sent_s = to_s
+        shown.sent_s, shown.number = to_s, shown.number + 1
         frame = {
             "t": "series",
             "ref": shown.ref,
+            "number": shown.number,
             "at": shown.at_s,
             "to": round(to_s, 3) if math.isfinite(to_s) else None,
             "charts": [

@@ -210,14 +210,15 @@ export class Charts {
     this.#series = series;
     this.#to_s = series.to ?? 0;
     for (const [k, data] of series.charts.entries()) this.#order[k]?.set(data);
-    for (const rows of this.#early.splice(0)) if (rows.to > this.#to_s) this.#append(rows);
+    for (const rows of this.#early.splice(0)) if (rows.number === series.number) this.#append(rows);
     this.#draw();
   }
 
   /** @param {Rows} rows */
   #rows(rows) {
     if (rows.ref !== this.#ref) return;
-    if (this.#series?.ref !== rows.ref) return void (this.#early.length < MOST_EARLY && this.#early.push(rows));
+    const shown = this.#series?.ref === rows.ref && this.#series.number === rows.number;
+    if (!shown) return void (this.#early.length < MOST_EARLY && this.#early.push(rows));
     this.#append(rows);
     this.#later();
   }

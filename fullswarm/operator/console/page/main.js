@@ -203,9 +203,12 @@ window.fullswarm = Object.freeze({
       goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
       ruler: tools.ruler && rulerWords(tools.ruler.from, tools.ruler.to),
       labels: map.robots.labels.filter(({ shown }) => shown).map(({ key, words, left, top, width, height }) => ({ key, words, left, top, width, height })),
-      operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: charts.shown, log: store.log.length,
+      operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), log: store.log.length,
       time: { live: past.live, at_s: past.live ? map.drawn_s : past.at_s, from_s: past.from_s, to_s: past.to_s, ready: past.ready, playing: past.playing },
     };
+  },
+  get charts() {
+    return structuredClone(charts.shown);
   },
   look: (/** @type {number} */ at_s) => past.look(at_s),
   toScreen: (/** @type {number} */ x_m, /** @type {number} */ y_m) => map.toPage(x_m, y_m),

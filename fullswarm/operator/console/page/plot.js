@@ -139,13 +139,13 @@ export class Plot {
     const { unit } = this.about;
     const newest = values.map((line) => line.at(-1));
     const numbers = newest.filter((value) => typeof value === "number");
+    const [least, most] = [Math.min(...numbers), Math.max(...numbers)];
     let words = known ? "unknown now" : "";
     if (this.data.band && numbers.length) words = `median ${figure(newest[1], unit)}`;
-    else if (numbers.length === 1) words = figure(numbers[0], unit);
-    else if (numbers.length > 1) words = `${figure(Math.min(...numbers), "")} to ${figure(Math.max(...numbers), unit)}`;
+    else if (numbers.length) words = figure(least, "") === figure(most, "") ? figure(most, unit) : `${figure(least, "")} to ${figure(most, unit)}`;
     setText(this.value, words);
     const rows = this.data.lines.map((line, k) => [this.#lineName(line), figure(newest[k], unit)]);
-    const text = known ? JSON.stringify(rows) : "";
+    const text = JSON.stringify([this.title, known ? rows : []]);
     if (this.table.dataset.shown === text) return;
     this.table.dataset.shown = text;
     const caption = make("caption", { text: `${this.title}: newest values` });
@@ -184,7 +184,7 @@ export class Plot {
     });
     return {
       width: Math.max(50, this.holder.clientWidth), height: Math.max(50, this.holder.clientHeight), pxAlign: true,
-      legend: { show: false }, padding: [6, single ? 8 : MARGIN_PX, 0, 0],
+      legend: { show: false }, padding: [6, single ? 20 : MARGIN_PX, 0, 0],
       cursor: { x: true, y: false, drag: { x: false, y: false }, points: { size: 6 } },
       scales: { x: { time: false }, y: { range: (_plot, low, high) => range(low, high) } },
       series: [{}, ...series],

@@ -399,6 +399,7 @@ export interface Drawn {
 export interface Series {
   t: "series";
   ref: number;
+  number: number; // of the whole, if the console sends it anew
   at: number | null;
   to: number | null;
   charts: Drawn[];
@@ -408,6 +409,7 @@ export interface Series {
 export interface Rows {
   t: "rows";
   ref: number;
+  number: number; // of the whole that they continue
   to: number;
   charts: { times: number[]; values: (number | null)[][] }[];
 }
