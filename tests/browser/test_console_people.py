@@ -29,6 +29,8 @@ OFFER = {
     "id": "o1", "from": "console guest@workshop 3f2a", "to": "anna", "robots": ["r3", "r4", "r7"], "runs": "Flocking",
     "left_s": 27.0, "mine": False,
 }  # fmt: skip
+COMPUTERS = ((1440, 900), (720, 450))
+"""Sizes that are used with a mouse; the others are those of tablets and phones."""
 SAY = """(lines) => lines.forEach(([by, kind, severity, robots], k) => fake.say({ t: "log", entry: {
   at: k, clock: "12:00:00", kind, severity, by, robots, text: `${kind} ${k}`, mine: by === "anna", request_id: "",
   number: k + 1, count: 1 } }))"""
@@ -149,6 +151,8 @@ def test_guide_operators_offer_and_filter_have_their_place_at_all_sizes(
         found.extend(f"{name} at {size}: {each}" for each in wrong)
 
     for number, size in enumerate(SIZES):
+        if (size in COMPUTERS) is touched:
+            continue
         page.emulate_media(color_scheme="dark" if number % 2 else "light")
         page.set_viewport_size({"width": size[0], "height": size[1]})
         expect(console.named("guide")).to_be_visible()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fullswarm.operator.console.gateway import KEPT_S
 from fullswarm.operator.console.presence import LONGEST_NAME, MOST_SHOWN, ROBOTS_SHOWN
 from tests.unit.console_bench import ConsoleBench, Page, health
 
@@ -54,6 +55,22 @@ def test_it_is_sent_when_it_changes_and_not_otherwise() -> None:
     bench.gateway.leave(session, ben)
     bench.run(0.3)
     assert anna.last("presence")["here"] == 1
+
+
+def test_a_reload_does_not_change_since_when_but_a_return_does() -> None:
+    bench = ConsoleBench()
+    ben, anna = Page(), entered(bench, "anna", "session-1")
+    session = bench.gateway.join("session-1", "ben", ben, named=True)
+    bench.run(0.3)
+    since = anna.last("presence")["people"][1]["clock"]
+    for pause_s, same in ((2.0, True), (KEPT_S + 2.0, False)):
+        bench.gateway.leave(session, ben)
+        bench.wall_s += 120.0
+        bench.run(pause_s)
+        assert anna.last("presence")["here"] == 1
+        session = bench.gateway.join("session-1", "ben", ben, named=True)
+        bench.run(0.3)
+        assert (anna.last("presence")["people"][1]["clock"] == since) is same
 
 
 def test_a_thousand_connections_and_holders_with_garbage_names_stay_a_short_frame() -> None:

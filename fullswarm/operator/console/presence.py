@@ -88,9 +88,10 @@ class Presence:
         return frame
 
     def _note(self, people: Mapping[str, Person]) -> None:
-        """Keep since when each operator is here: those who are gone are forgotten."""
+        """Keep since when each operator is here; a reload is no departure, since the session outlives it."""
         clock = f"{datetime.fromtimestamp(self._wall_s()):%H:%M}"
-        self._since = {name: self._since.get(name, clock) for name in people}
+        known = {session.name for session in self._sessions()}
+        self._since = {name: self._since.get(name, clock) for name in known}
         for name, person in people.items():
             person.clock = self._since[name]
 
