@@ -18,7 +18,7 @@ from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
-    from fullswarm.operator.console.experiments import Bench
+    from fullswarm.operator.console.experiments import ExperimentOptions
     from fullswarm.operator.console.server import PageSource
     from fullswarm.operator.console.tokens import Role
     from fullswarm.runtime import Scheduler
@@ -124,7 +124,7 @@ def console(
         underlay=underlay,
         api=api_tokens or (_tokens_file(of_programs=True) if api else None),
         recording=_recording_of(target, recorded_to),
-        bench=_bench(target, experiments),
+        experiments=_experiments(target, experiments),
         icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},
     )
     with contextlib.ExitStack() as stack:
@@ -247,14 +247,14 @@ def _recording_of(target: Target, given: Path | None) -> Callable[[], Path | Non
     return RecordingFinder(target, given)
 
 
-def _bench(target: Target, folder: Path | None) -> Bench:
+def _experiments(target: Target, folder: Path | None) -> ExperimentOptions:
     """Return where experiments are: in `folder`, else in ``experiments`` here, which need not be there yet."""
     from fullswarm.launch.processes import usual_audit_folder
-    from fullswarm.operator.console.experiments import Bench
+    from fullswarm.operator.console.experiments import ExperimentOptions
 
     if folder is not None and not folder.is_dir():
         raise ConfigError("no such folder", where=f"--experiments {folder}", hint="make it, or name another one")
-    return Bench(folder or Path("experiments"), usual_audit_folder(f"{target.swarm}-experiments"))
+    return ExperimentOptions(folder or Path("experiments"), usual_audit_folder(f"{target.swarm}-experiments"))
 
 
 def _recorded(file: Path) -> Callable[..., PageSource[Any]]:

@@ -26,7 +26,7 @@ from fullswarm.messages import (
     RobotStates,
 )
 from fullswarm.operator.console import frames
-from fullswarm.operator.console.experiments import Bench
+from fullswarm.operator.console.experiments import ExperimentOptions
 from fullswarm.operator.console.gateway import Gateway, Identity
 from fullswarm.operator.console.sessions import OperatorSession
 from fullswarm.runtime import Runtime
@@ -85,7 +85,12 @@ class ConsoleBench:
     """The gateway with a bus, a core and pages."""
 
     def __init__(
-        self, *, read_only: bool = False, core: bool = True, study: Path | None = None, bench: Bench | None = None
+        self,
+        *,
+        read_only: bool = False,
+        core: bool = True,
+        study: Path | None = None,
+        bench: ExperimentOptions | None = None,
     ) -> None:
         self.runtime = Runtime(SimClock(100.0))
         self.bus = LocalBus(self.runtime.mailbox)
@@ -99,7 +104,7 @@ class ConsoleBench:
         self.wall_s = 1_700_000_000.0
         self.gateway = Gateway(
             self.bus, KEYS, self.runtime,
-            Identity("base", "console@base:1", "9.9", read_only, study=study, bench=bench),
+            Identity("base", "console@base:1", "9.9", read_only, study=study, experiments=bench),
             lambda: self.wall_s,
         )  # fmt: skip
         self.run(0.01)

@@ -14,7 +14,7 @@ import pytest
 
 from fullswarm.operator.console import children, frames
 from fullswarm.operator.console import experiments as module
-from fullswarm.operator.console.experiments import MISSING, Bench
+from fullswarm.operator.console.experiments import MISSING, ExperimentOptions
 from fullswarm.operator.console.sessions import NO_EXPERIMENTS, NOT_OFFERED, OBSERVER, READ_ONLY
 from fullswarm.operator.console.tokens import Role
 from tests.unit.console_bench import ConsoleBench, Page
@@ -61,7 +61,7 @@ class Lab:
 
     def __init__(self, folder: Path, **options: Any) -> None:
         self.processes: list[Process] = []
-        bench = options.pop("bench", Bench(folder / "lab", folder / "audit"))
+        bench = options.pop("bench", ExperimentOptions(folder / "lab", folder / "audit"))
         self.bench = ConsoleBench(bench=bench, **options)
         self.page, self.session = self.bench.join()
 

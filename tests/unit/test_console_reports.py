@@ -18,7 +18,7 @@ from fullswarm.clock import SimClock
 from fullswarm.operator.console import children
 from fullswarm.operator.console import experiments as module
 from fullswarm.operator.console.access import Names, uvicorn_server
-from fullswarm.operator.console.experiments import Bench, Experiments
+from fullswarm.operator.console.experiments import ExperimentOptions, Experiments
 from fullswarm.operator.console.reports import POLICY, Reports
 from fullswarm.operator.console.server import Pages, Web
 from fullswarm.operator.console.tokens import Doorkeeper
@@ -38,7 +38,7 @@ class Lab:
         self.readers: list[NoProcess] = []
         self.page = Page()
         self.experiments = Experiments(
-            Bench(folder), self.runtime, "console", lambda: 0.0, lambda _: None, lambda _text, _by: None
+            ExperimentOptions(folder), self.runtime, "console", lambda: 0.0, lambda _: None, lambda _text, _by: None
         )
         self.reports = Reports(self.experiments)
         self.folder = folder

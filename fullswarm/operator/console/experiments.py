@@ -98,7 +98,7 @@ class _List(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
+class ExperimentOptions:
     """Where experiments are.
 
     Attributes
@@ -150,14 +150,14 @@ class Experiments:
 
     def __init__(
         self,
-        bench: Bench,
+        options: ExperimentOptions,
         scheduler: Scheduler,
         process: str,
         wall_s: Callable[[], float],
         send: Callable[[dict[str, Any]], None],
         note: Callable[[str, str], None],
     ) -> None:
-        self._bench, self._scheduler, self._process, self._wall_s = bench, scheduler, process, wall_s
+        self._options, self._scheduler, self._process, self._wall_s = options, scheduler, process, wall_s
         self._send, self._note = send, note
         self._missing = "" if all(map(importlib.util.find_spec, NEEDED)) else MISSING
         self._watchers: dict[Listener, None] = {}
@@ -216,7 +216,7 @@ class Experiments:
         what += ["--small"] if command.small else []
         what += ["--seeds", command.seeds] if command.seeds else []
         try:
-            self._bench.folder.mkdir(parents=True, exist_ok=True)
+            self._options.folder.mkdir(parents=True, exist_ok=True)
             log = tempfile.TemporaryFile(dir=self._private())  # noqa: SIM115  (closed with the run)
         except OSError as error:
             return f"not started: {error.strerror or error}"
@@ -265,7 +265,7 @@ class Experiments:
     def _list(self) -> dict[str, Any]:
         entries = None if self._entries is None else [self._entry(each) for each in self._entries.values()]
         problem = self.refusal() or self._problem
-        return {"t": "experiment_list", "folder": str(self._bench.folder), "problem": problem, "entries": entries}
+        return {"t": "experiment_list", "folder": str(self._options.folder), "problem": problem, "entries": entries}
 
     def _entry(self, entry: Entry) -> dict[str, Any]:
         plain: dict[str, Any] = msgspec.to_builtins(entry)
@@ -372,7 +372,7 @@ class Experiments:
             self._start_reader()
 
     def _start_reader(self) -> None:
-        arguments = ["experiment", "list", str(self._bench.folder), "--to", str(self._file())]
+        arguments = ["experiment", "list", str(self._options.folder), "--to", str(self._file())]
         log = tempfile.TemporaryFile(dir=self._private())  # noqa: SIM115  (closed with the reader)
         try:
             process = children.start([*arguments, "--parent", str(os.getpid())], log)
@@ -436,11 +436,11 @@ class Experiments:
 
     # ---------------------------------------------------------------- the audit log
     def _record(self, result: str, entry: Entry | None, by: str, what: dict[str, object] | None = None) -> None:
-        if self._bench.audit is None or os.name != "posix":  # as a core's log
+        if self._options.audit is None or os.name != "posix":  # as a core's log
             return
         if self._audit is None:
             self._audit = AuditLog(
-                unlocked(self._bench.audit), self._process, self._scheduler.now_s, self._wall_s
+                unlocked(self._options.audit), self._process, self._scheduler.now_s, self._wall_s
             )  # fmt: skip
         about = {} if entry is None else {"experiment": entry.id, "source": entry.source, "out": entry.out}
         self._audit.append(

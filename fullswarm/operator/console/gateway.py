@@ -35,7 +35,7 @@ from fullswarm.operator.console.cameras import Cameras
 from fullswarm.operator.console.charts import ChartDesk
 from fullswarm.operator.console.clips import Download
 from fullswarm.operator.console.detail import Details
-from fullswarm.operator.console.experiments import Bench, Experiments
+from fullswarm.operator.console.experiments import ExperimentOptions, Experiments
 from fullswarm.operator.console.handover import HandOvers, Surroundings
 from fullswarm.operator.console.history import History
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, named
@@ -78,7 +78,7 @@ class Identity:
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
     study: Path | None = None  # folder of a trial with its plan; None: no study
     recording: Callable[[], Path | None] = lambda: None  # the recording that is made of the swarm now, on this machine
-    bench: Bench | None = None  # where experiments are; None: pages are offered none
+    experiments: ExperimentOptions | None = None  # where experiments are; None: pages are offered none
 
 
 class Gateway:
@@ -128,8 +128,8 @@ class Gateway:
             on_world=lambda: self._changed.add("world"),
             on_orders=lambda _: self._changed.add("goals"),
         )
-        self.experiments = None if identity.bench is None or identity.study is not None else Experiments(
-            identity.bench, scheduler, identity.process, wall_s, self._send, self._note
+        self.experiments = None if identity.experiments is None or identity.study is not None else Experiments(
+            identity.experiments, scheduler, identity.process, wall_s, self._send, self._note
         )  # fmt: skip
         self._context = ConsoleContext(
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,

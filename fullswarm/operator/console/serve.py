@@ -36,7 +36,7 @@ from fullswarm.runtime import Runtime, Scheduler
 if TYPE_CHECKING:
     import uvicorn
 
-    from fullswarm.operator.console.experiments import Bench
+    from fullswarm.operator.console.experiments import ExperimentOptions
     from fullswarm.operator.console.gateway import Gateway
     from fullswarm.operator.console.server import PageSource
     from fullswarm.operator.console.underlay import Underlay
@@ -72,7 +72,7 @@ class Options:
     api: Path | None = None  # file with the tokens of programs; None: no interface for them
     underlay: Path | None = None  # drawn under the map: a plan, a map of ROS, tiles; None: nothing
     recording: Callable[[], Path | None] = lambda: None  # the recording that is made of the swarm now, on this machine
-    bench: Bench | None = None  # where experiments are; None: pages are offered none
+    experiments: ExperimentOptions | None = None  # where experiments are; None: pages are offered none
 
 
 def serve(
@@ -266,7 +266,7 @@ def _gateway(
     renew_later(bus, runtime, keys, credentials)
     identity = Identity(
         socket.gethostname(), process, __version__, options.read_only, options.icons, options.study,
-        options.recording, options.bench,
+        options.recording, options.experiments,
     )  # fmt: skip
     return Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
 
