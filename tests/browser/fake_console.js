@@ -147,5 +147,12 @@
     line.tick();
   }
 
-  window.fake = { sent, swarm, skip, ids, say: (message) => line.say(message), tick: () => line.tick() };
+  /** Say the details of a robot. */
+  function detail(robot) {
+    const pose = { x_m: 1, y_m: 1, heading_rad: 0, source: "", note: "", sigma_m: null, heading_sigma_rad: null, sources: [] };
+    const more = { turn_rad_s: 0, command_rad_s: 0, deviation_m_s: 0, deviation_m: 0, round_trip_s: null, dropped: {}, order: null };
+    line.say({ t: "detail", robot, at: 1, pose, motion: [[-5, 0.3, 0.3], [0, 0.1, 0.1]], battery: [[-100, 0.6], [0, 0.5]], messages: [], requests: [], ...more });
+  }
+
+  window.fake = { detail, sent, swarm, skip, ids, say: (message) => line.say(message), tick: () => line.tick() };
 }

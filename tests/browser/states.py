@@ -285,6 +285,17 @@ def lines(console: Console) -> Iterator[None]:
 
 
 @contextmanager
+def details(console: Console) -> Iterator[None]:
+    """The details of one robot, in place of the table."""
+    show(console, "fleet")
+    console.named("details-r2").click()
+    console.page.evaluate("fake.detail('r2')")
+    expect(console.named("detail-chart-battery")).to_be_visible()
+    yield
+    console.named("detail-close").click()
+
+
+@contextmanager
 def log(console: Console) -> Iterator[None]:
     show(console, "log")
     yield
@@ -293,6 +304,6 @@ def log(console: Console) -> Iterator[None]:
 STATES: dict[str, State] = {
     "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
     "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts,
-    "lines": lines, "chart form": chart_form, "log": log,
+    "lines": lines, "chart form": chart_form, "details": details, "log": log,
     "experiments": experiments, "experiment": experiment, "experiment_stopped": experiment_stopped,
 }  # fmt: skip

@@ -134,11 +134,7 @@ def test_the_cursor_tells_the_values_by_mouse_and_keys(played: Console) -> None:
 def test_the_details_of_a_robot_chart_its_speed_and_battery(played: Console) -> None:
     opened(played, "?chart=work.total_m&robot=r5")
     for field in ("speed", "battery"):
-        say = """([robot]) => fake.say({ t: "detail", robot, at: 1, pose: { x_m: 1, y_m: 1, heading_rad: 0, source: "",
-          note: "", sigma_m: null, heading_sigma_rad: null, sources: [] }, motion: [[0, 0.1, 0.1]], battery: [[0, 0.5]],
-          messages: [], requests: [], turn_rad_s: 0, command_rad_s: 0, deviation_m_s: 0, deviation_m: 0,
-          round_trip_s: null, dropped: {}, order: null })"""
-        played.page.evaluate(say, ["r5"])
+        played.page.evaluate("fake.detail('r5')")
         played.named(f"detail-chart-{field}").click()
     assert titles(played) == ["Work", "Speed · r5", "Battery · r5"]
     played.named("detail-chart-speed").click()

@@ -42,7 +42,7 @@ export class DetailPane extends Emitter {
     for (const topic of /** @type {const} */ (["fleet", "leases", "filter", "world"])) store.on(topic, () => this.#fill());
     link.on("open", () => this.#ask());
     theme.on("change", () => this.#charts());
-    new ResizeObserver(() => this.#resize()).observe(this.pane);
+    new ResizeObserver(() => this.#resize()).observe(byId("detail-body")); // it is shown later than the pane, too
     this.#charts();
     this.#show();
   }
