@@ -59,7 +59,6 @@ def lines(console: Console) -> Locator:
 
 
 def test_robots_are_handed_over_and_go_on(calm: Console, second: Console, observer: Observer, snap: Snap) -> None:
-    other = second.state["operator"]
     second.until(lambda: bool(second.state["operator"]), 15.0, "it is greeted")
     other = second.state["operator"]
     expect(calm.named("people")).to_have_text("2 here")
@@ -91,6 +90,12 @@ def test_robots_are_handed_over_and_go_on(calm: Console, second: Console, observ
     expect(lines(calm).last).to_contain_text("handed over by")
     expect(calm.named("log-hidden-words")).to_contain_text("hidden by the filter")
     assert "log_by=" in calm.page.url
+    calm.press(",")
+    calm.until(lambda: not calm.state["time"]["live"] and calm.state["time"]["ready"], 15.0, "the past is shown")
+    expect(calm.named("log-hidden-words")).to_contain_text("hidden by the filter")
+    assert calm.state["log"] > 0
+    assert all(other in each for each in lines(calm).all_inner_texts()), "the log of the past is filtered, too"
+    calm.press("l")
     calm.named("log-clear").click()
     calm.named("log-filter").click()
     expect(calm.named("log-hidden")).to_be_hidden()
