@@ -402,42 +402,44 @@ class Inbox:
     def fetch(self) -> bool:
         """Deliver the newest message of each key of those that wait; return whether more wait."""
         declared, count = self._declared, 0
-        newest: dict[str, zenoh.Sample] = {}
+        newest: dict[str, tuple[Origin, zenoh.Sample]] = {}
+        now_s = self._clock.now_s()
         with contextlib.suppress(zenoh.ZError):  # another thread closed the bus just now
             while declared is not None and count < FETCHED_AT_ONCE and (sample := declared.try_recv()) is not None:
                 count += 1
                 key = str(sample.key_expr)
-                if self._admit(key):
-                    newest[key] = sample
-        for key, sample in newest.items():
-            message = self._read(key, sample)
+                origin = self._origins.get(key) or self._origin(key)
+                if self._admit(key, origin, now_s):
+                    newest[key] = origin, sample
+        for key, (origin, sample) in newest.items():
+            message = self._read(key, origin, sample)
             if message is not None:
-                self._deliver(self._item(key, message))
+                self._deliver(Delivery(message, origin.sender) if self._with_sender else message)
         return count == FETCHED_AT_ONCE
 
     def receive(self, sample: zenoh.Sample) -> None:
         """Take a message from another process."""
         key = str(sample.key_expr)
-        message = self._read(key, sample) if self._admit(key) else None
+        origin = self._origins.get(key) or self._origin(key)
+        message = self._read(key, origin, sample) if self._admit(key, origin, self._clock.now_s()) else None
         if message is None:
             return
-        item = self._item(key, message)
+        item = Delivery(message, origin.sender) if self._with_sender else message
         if self._at_once and self._mailbox.run_now(self._deliver, item):
             return
         self._enqueue(key, message, item)
 
-    def _admit(self, key: str) -> bool:
+    def _admit(self, key: str, origin: Origin, now_s: float) -> bool:
         """Tell whether its sender may send one more message now."""
-        bucket = (self._origins.get(key) or self._origin(key)).bucket
-        if bucket is None or bucket.take(self._clock.now_s()):
+        if origin.bucket is None or origin.bucket.take(now_s):
             return True
         self._mailbox.note_drop("rate")
         self._on_bad(key, self._too_often)
         return False
 
-    def _read(self, key: str, sample: zenoh.Sample) -> Message | None:
+    def _read(self, key: str, origin: Origin, sample: zenoh.Sample) -> Message | None:
         """Return the message; None: it does not fit, which is counted."""
-        check = (self._origins.get(key) or self._origin(key)).check
+        check = origin.check
         try:
             message = decode(sample.payload.to_bytes(), self.kind)
             if check is not None and (refusal := check(message)):
@@ -446,10 +448,6 @@ class Inbox:
             self._on_bad(key, error)
             return None
         return message
-
-    def _item(self, key: str, message: Message) -> Any:
-        """Return what the handler gets."""
-        return Delivery(message, (self._origins.get(key) or self._origin(key)).sender) if self._with_sender else message
 
     def _enqueue(self, key: str, message: Message, item: Any) -> None:
         """Have an item wait for the node: `message`, or its delivery."""

@@ -55,6 +55,9 @@ PROCESSES_S = 3.0
 AGAIN_S = 30.0
 """How long a restart is shown."""
 
+Pose = tuple[str, float, float, float, float, float]
+"""``(robot, x_m, y_m, heading_rad, speed_m_s, age_s)``: a robot's pose and speed, and the age of its newest message."""
+
 _NO_STATE = (math.nan,) * 6
 
 
@@ -253,12 +256,9 @@ class FleetView:
                 found.add(robot)
         return frozenset(found if self._bus.connected() else {*found, "hub"})
 
-    def poses(self) -> list[tuple[str, float, float, float, float, float]]:
-        """Return ``(robot, x_m, y_m, heading_rad, speed_m_s, age_s)`` of robots whose pose has been received, by id.
-
-        The age is that of the newest message; cheaper than a snapshot, for what is shown many times a second.
-        """
-        now_s, found = self._scheduler.now_s(), []
+    def poses(self) -> list[Pose]:
+        """Return the robots whose pose has been received, by id; cheaper than a snapshot, for many times a second."""
+        now_s, found = self._scheduler.now_s(), list[Pose]()
         for robot in sorted(self._states):
             arrived_s, (x_m, y_m, heading_rad, speed_m_s, _, _) = self._states[robot]
             health = self._health.get(robot)
@@ -370,10 +370,10 @@ class FleetView:
     def _on_states(self, states: RobotStates) -> None:
         now_s = self._scheduler.now_s()
         self.states_received += 1
-        kinematics = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s)
-        for robot, *state in zip(states.robots, *kinematics, states.radius_m, strict=False):
+        kinematics = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
+        for robot, state in zip(states.robots, zip(*kinematics, strict=False), strict=False):
             if self._robots.admit(robot, now_s):
-                self._states[robot] = now_s, tuple(state)
+                self._states[robot] = now_s, state
 
     def _on_heartbeat(self, beat: Heartbeat) -> None:
         if not self._node_names.admit(beat.node, self._scheduler.now_s()):

@@ -8,7 +8,7 @@ from typing import Any
 
 from fullswarm.messages import RobotHealth
 from fullswarm.operator.robot_state import advise, ended_text, pose_text, row_state
-from fullswarm.operator.view import RobotRow, Snapshot, memory_text
+from fullswarm.operator.view import Pose, RobotRow, Snapshot, memory_text
 
 CORE = "core"
 LONGEST_MEMORY = 200
@@ -17,7 +17,7 @@ UNKNOWN = RobotHealth(robot="", driver="", make="", model="", firmware="", lifec
 """A robot of which only the position is received."""
 
 
-def states(poses: Iterable[tuple[str, float, float, float, float, float]]) -> list[list[Any]]:
+def states(poses: Iterable[Pose]) -> list[list[Any]]:
     """Return ``[id, x, y, heading, speed, age_s]`` for each of :meth:`FleetView.poses`, rounded to what can be seen."""
     return [
         [robot, round(x_m, 3), round(y_m, 3), round(heading_rad, 3), round(speed_m_s, 3), round(age_s, 2)]

@@ -429,7 +429,7 @@ class Gateway:
 
     def _sample_trails(self) -> None:
         with self._drawing("trails"):
-            self._trails.add(self.view.snapshot(), self._scheduler.now_s())
+            self._trails.add(self.view.poses(), self._scheduler.now_s())
 
     def _send_map(self) -> None:
         self._forget_sessions(self._scheduler.now_s())

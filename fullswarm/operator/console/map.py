@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fullswarm.errors import MessageError
 from fullswarm.keys import TRUTH
 from fullswarm.messages import BehaviourRequest, CoverageMeasurement, Interventions, SeenObstacles
-from fullswarm.operator.view import Snapshot
+from fullswarm.operator.view import SILENT_S, Pose
 from fullswarm.perf.coverage import GridFrame, unpack_bits
 from fullswarm.recent import Names, Recent
 
@@ -30,17 +30,17 @@ class Trails:
 
     _points: dict[str, deque[tuple[float, float, float]]] = field(default_factory=dict)
 
-    def add(self, seen: Snapshot, now_s: float) -> None:
+    def add(self, poses: Sequence[Pose], now_s: float) -> None:
         """Add the positions of robots that have moved."""
-        if len(self._points) > len(seen.robots):
-            there = {row.robot for row in seen.robots}
+        if len(self._points) > len(poses):
+            there = {robot for robot, *_ in poses}
             self._points = {robot: points for robot, points in self._points.items() if robot in there}
-        for row in seen.robots:
-            if row.silent or not math.isfinite(row.x_m):
+        for robot, x_m, y_m, _, _, age_s in poses:
+            if age_s > SILENT_S:
                 continue
-            points = self._points.setdefault(row.robot, deque(maxlen=int(TRAIL_S * TRAIL_RATE_HZ)))
-            if not points or math.hypot(row.x_m - points[-1][1], row.y_m - points[-1][2]) >= STEP_M:
-                points.append((now_s, row.x_m, row.y_m))
+            points = self._points.setdefault(robot, deque(maxlen=int(TRAIL_S * TRAIL_RATE_HZ)))
+            if not points or math.hypot(x_m - points[-1][1], y_m - points[-1][2]) >= STEP_M:
+                points.append((now_s, x_m, y_m))
 
     def shown(self, now_s: float) -> dict[str, list[list[float]]]:
         """Return robot → positions, the oldest first."""
