@@ -34,7 +34,9 @@ def asked(observer: Observer) -> Iterator[dict[str, BehaviourRequest]]:
 
 
 def places(console: Console, *, shown: bool) -> None:
-    """Open or close the list of places."""
+    """Open or close the list of places, which is in that of behaviours."""
+    if console.named("form-back").is_visible():
+        console.named("form-back").click()
     if console.named("place-list").is_visible() != shown:
         console.named("places-open").click()
 

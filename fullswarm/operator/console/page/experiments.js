@@ -54,7 +54,7 @@ export class Experiments {
 
   /** @param {ExperimentsFrame} frame */
   #offered({ running }) {
-    this.toggle.hidden = false;
+    this.toggle.removeAttribute("data-unknown");
     const of = running?.of ? ` of ${running.of}` : "";
     const words = running ? `${running.name} is running: ${running.done ?? 0}${of} trials` : "Run experiments";
     if (this.toggle.title !== words) this.toggle.title = words;

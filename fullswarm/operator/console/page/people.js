@@ -66,7 +66,7 @@ export class People {
   #present(frame) {
     this.#people = frame;
     const words = `${frame.here} here`;
-    this.button.hidden = false;
+    this.button.removeAttribute("data-unknown");
     setText(this.button, words);
     setFlag(this.button, "aria-label", `${words}: operators on this console`);
     this.button.title = ["Operators on this console", ...frame.people.map(({ name }) => name)].join("\n");
