@@ -58,7 +58,8 @@ Snap = Callable[[Page, str], None]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs a browser where there is none."""
+    """Begin with what needs no swarm, which takes more than a processor; skip what needs a browser if there is none."""
+    items.sort(key=lambda item: "demo" in getattr(item, "fixturenames", ()) and "tests/browser/" in item.nodeid)
     if CHROMIUM is not None:
         return
     for item in items:

@@ -18,10 +18,11 @@ from playwright.sync_api import Browser, ViewportSize, expect
 from tests.browser.axe import NPM, violations
 from tests.browser.conftest import SIZE, Snap
 from tests.browser.console import Console
-from tests.browser.swarm import Observer
+from tests.browser.swarm import Observer, far
 from tests.unit.test_record_playback import places, record
 
 SECONDS = 30.0
+AROUND_S = 0.3
 SIZES: list[ViewportSize] = [
     {"width": 1024, "height": 700},
     {"width": 768, "height": 1024},
@@ -206,15 +207,19 @@ def test_it_fits_small_screens(recording: Console, snap: Snap) -> None:
 def test_an_operator_looks_back_and_can_still_stop_the_swarm(calm: Console, observer: Observer, snap: Snap) -> None:
     calm.start("flocking_bc")
     observer.until(lambda: observer.all_run("flocking_bc"), 10.0, "they drive")
-    seen: list[tuple[float, dict[str, tuple[float, float]]]] = []
-    for _ in range(3):
-        observer.rest(1.0)
-        state = calm.state
-        seen.append((state["time"]["at_s"], {robot: (each["x"], each["y"]) for robot, each in state["robots"].items()}))
-    for at_s, before in reversed(seen):
+    heard: list[tuple[float, dict[str, tuple[float, float]]]] = []  # on the bus, by the clock of this machine
+    moments: list[float] = []
+    for count in range(1, 61):
+        observer.rest(0.05)
+        heard.append((observer.runtime.now_s(), observer.places()))
+        if count % 20 == 10:
+            moments.append(calm.state["time"]["at_s"])
+    for at_s in reversed(moments):
         look(calm, at_s)
         for robot, place in calm.places().items():
-            assert place == pytest.approx(before[robot], abs=0.12)
+            # A state may have come late on the way to either of the two, by less than AROUND_S.
+            there = [places[robot] for heard_s, places in heard if abs(heard_s - at_s) < AROUND_S]
+            assert min(far(place, each) for each in there) < 0.12, (robot, at_s)
     expect(calm.named("past-banner")).to_contain_text(re.compile(r"Not live looking at \d\d:\d\d:\d\d, [\d.]+ s ago"))
     assert calm.page.evaluate("document.getElementById('start').inert")
     if NPM is not None:
