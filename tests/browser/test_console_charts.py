@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -124,7 +125,7 @@ def test_the_cursor_tells_the_values_by_mouse_and_keys(played: Console) -> None:
     assert told is not None
     assert told.startswith("-10 min: r1 0.")
     played.page.keyboard.press("ArrowRight")
-    expect(tip).to_contain_text("-588 s")
+    expect(tip).to_contain_text(re.compile(r"-58\d s"))
     played.page.keyboard.press("Space")
     assert sent(played, "stop"), "Space is the stop here as well"
     if NPM is not None:
