@@ -75,6 +75,7 @@ def test_a_place_is_kept_for_all_drawn_and_driven_to(calm: Console, observer: Ob
         calm.named(f"place-delete-{name}").click()
         expect(calm.named(f"place-{name}")).to_have_count(0, timeout=NEED_MS)
         assert stored(observer, f"place/{name}") is None
+    places(calm, shown=False)  # the page is that of the other tests, too
 
 
 def test_a_request_is_saved_with_a_place_and_made_again_from_another_page(
@@ -123,3 +124,4 @@ def test_a_request_is_saved_with_a_place_and_made_again_from_another_page(
     places(calm, shown=True)
     calm.named("place-delete-hall").click()
     expect(calm.named("place-hall")).to_have_count(0, timeout=NEED_MS)
+    places(calm, shown=False)
