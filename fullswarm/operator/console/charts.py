@@ -1,6 +1,6 @@
 """Sends pages the charts that they show: once as a whole, then the new samples; of now, or of a moment of the past.
 
-A page says which charts it shows, and gets nothing else: a swarm whose charts nobody shows costs nothing on the wire.
+A page says which charts it shows and gets nothing else: charts that no page shows cost nothing on the wire.
 """
 
 from __future__ import annotations
