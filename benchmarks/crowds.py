@@ -30,9 +30,9 @@ from fullswarm.geometry import clamp, unicycle
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
+from fullswarm.logs import quiet
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
-from fullswarm.output import quiet
 from fullswarm.simulation.world import World
 
 RADIUS_M, SENSING_M, PERIOD_S, READY_S = 0.17, 3.0, 0.02, 0.49

@@ -25,9 +25,9 @@ from fullswarm.evaluate.witness import WorldWitness
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
+from fullswarm.logs import quiet
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
-from fullswarm.output import quiet
 
 ROBOTS = 8
 RADIUS_M, READY_S, LIMIT_S = 0.17, 0.49, 180.0

@@ -37,9 +37,9 @@ from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports
 from fullswarm.launch.nodes import start_poses
 from fullswarm.launch.supervisor import Supervisor
+from fullswarm.logs import quiet
 from fullswarm.operator.client import Operator
 from fullswarm.operator.view import FleetView
-from fullswarm.output import quiet
 from fullswarm.runtime import Mailbox, Runtime
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World

@@ -26,9 +26,9 @@ from fullswarm.evaluate.scenarios import load_scenario
 from fullswarm.evaluate.trial import configure
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
+from fullswarm.logs import quiet
 from fullswarm.messages import Value
 from fullswarm.operator.client import Operator
-from fullswarm.output import quiet
 
 RANGES = {"count": 360, "max_m": 12.0, "sigma_m": 0.01, "dropout": 0.01, "rate_hz": 10.0}
 WHEELS = 0.02

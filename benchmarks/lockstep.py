@@ -21,9 +21,9 @@ import numpy as np
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
+from fullswarm.logs import quiet
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
-from fullswarm.output import quiet
 from fullswarm.simulation.engine import make_engine
 
 TARGETS = {("pybullet", 32): 60, ("pybullet", 100): 15, ("pybullet", 1000): 1,

@@ -19,8 +19,8 @@ from typing import Any
 
 from fullswarm.config import SwarmConfig
 from fullswarm.launch.lockstep import Lockstep
+from fullswarm.logs import quiet
 from fullswarm.operator.client import Operator
-from fullswarm.output import quiet
 
 PACKAGE = Path(__file__).parents[1] / "fullswarm"
 SETTLE_S = 1.013

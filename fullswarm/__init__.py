@@ -36,6 +36,7 @@ Further files:
 ``maps/``          Occupancy maps: cells as boxes, tiles on the bus, files of ROS's map_server
 ``mcp_server/``    `fullswarm mcp`: a swarm for language models, by the Model Context Protocol
 ``kept.py``        Places on the map and requests that operators keep under a name in the core's database
+``logs.py``        Loggers that load structlog with their first line, and where the lines go
 ``messages.py``    Every message on the wire: typed, versioned, immutable
 ``output.py``      stdout is data, stderr is progress
 ``reasons.py``     Why robots do not move and requests are refused: codes for programs, texts for people

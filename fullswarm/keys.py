@@ -22,7 +22,7 @@ key                                                     message                w
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/broadcast/<cell>/<host>``                     BehaviourBroadcast     agent → neighbours
 ``<swarm>/profile/<cell>/<host>``                       RobotProfiles          agent → neighbours, core
-``<swarm>/profile/query``                               ProfileQuery           operators, core → agents
+``<swarm>/report/query``                                ReportQuery            operators, core → all others
 ``<swarm>/reception/<host>``                            Reception              agent → core
 ``<swarm>/relay/<host>``                                RelayedStates          core → agent
 ``<swarm>/searched/<host>``                             SearchedDiscs          agent → agents
@@ -169,9 +169,9 @@ class Keys:
         return f"{self.swarm}/profile/{cell}/{host}"
 
     @property
-    def profile_query(self) -> str:
-        """Asks for the profiles of all robots."""
-        return f"{self.swarm}/profile/query"
+    def report_query(self) -> str:
+        """Asks all processes to publish now what they publish seldom."""
+        return f"{self.swarm}/report/query"
 
     def reception(self, host: str = ANY) -> str:
         """Whose states a host receives."""

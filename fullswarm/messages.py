@@ -833,8 +833,11 @@ class RobotProfiles(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
-class ProfileQuery(Message, frozen=True, kw_only=True):
-    """Asks all agents for the profiles of their robots: by an operator or a core that has just started."""
+class ReportQuery(Message, frozen=True, kw_only=True):
+    """Asks all processes to publish now what they publish seldom: by an operator or a core that has just started.
+
+    Agents: profiles, health, what control laws remember. Core: leases, docks, summaries. Supervisor: its processes.
+    """
 
     source: str = ""
 

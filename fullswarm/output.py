@@ -187,29 +187,6 @@ def warning(text: str) -> None:
     typer.echo(f"warning: {text}", err=True)
 
 
-def log_to_stderr(*, warnings_only: bool = False) -> None:
-    """Send log lines to stderr: structlog's default is stdout, which is for data."""
-    import logging
-
-    import structlog
-
-    # Looked up at each line: a redirected stderr, a test's for one, may be closed again.
-    structlog.configure(
-        logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),
-        wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING if warnings_only else logging.NOTSET),
-    )
-
-
-def quiet() -> None:
-    """Log nothing, unless the program has set its log up: for a library whose errors are raised."""
-    import logging
-
-    import structlog
-
-    if not structlog.is_configured():
-        structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
-
-
 # ---------------------------------------------------------------- errors and exit codes
 def run_guarded(call: Callable[[], int | None], debug: bool = False) -> int:
     """Run a command and return its exit code (None counts as 0); an error becomes one line on stderr.

@@ -46,6 +46,7 @@ from fullswarm.agent.telemetry.remembered import MemoryReporter
 from fullswarm.agent.telemetry.reports import Reports
 from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.bus.base import Bus, CountingBus
+from fullswarm.bus.report_query import ReportsOnQuery
 from fullswarm.clock import wall_time_s
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
@@ -234,6 +235,7 @@ class AgentNode:
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
         self._cell_m, self._sequence, self._dirty = config.state_cell_m, 0, False
         self.failed_measurements = 0
+        self._on_query = ReportsOnQuery(bus, keys, scheduler, self._report)
         fleet.open()
         self._timers = self._start_timers()
 
@@ -468,6 +470,12 @@ class AgentNode:
         """Return the health of all robots."""
         return self._reports.health(self._loop(), __version__, now_s, self.core_clock)
 
+    def _report(self) -> None:
+        """Publish what is published seldom: somebody has asked."""
+        self.profiles.report()
+        self._publish_for_people()
+        self._dirty = True
+
     def publish_measurements(self, *, whole: bool = True) -> None:
         """Publish what the robots have measured of themselves; the grid of coverage not always unless `whole`."""
         try:
@@ -528,6 +536,7 @@ class AgentNode:
         self.reception.close()
         self.exchange.close()
         self.profiles.close()
+        self._on_query.close()
         self._object_subscription.close()
         self.silent_search.close()
         self.fixes.close()

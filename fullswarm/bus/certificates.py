@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import structlog
-
 from fullswarm.bus.base import Bus
 from fullswarm.clock import wall_time_s
 from fullswarm.errors import ConfigError, FullswarmError
@@ -19,10 +17,11 @@ from fullswarm.identity.credentials import Credentials
 from fullswarm.identity.folder import KeysFolder
 from fullswarm.identity.private import read_pem
 from fullswarm.keys import Keys
+from fullswarm.logs import Logger
 from fullswarm.messages import CertificateReply, CertificateRequest
 from fullswarm.runtime import Scheduler, Timer
 
-log = structlog.get_logger()
+log = Logger()
 
 SHARE_OF_LIFE = 0.01
 """How often a process looks whether it must ask."""

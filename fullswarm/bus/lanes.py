@@ -38,7 +38,7 @@ _TOPICS = {
 """By the first part of a key after the swarm; all others carry states."""
 _SPECIAL = {
     ("behaviour", "status"): ANSWERS, ("robot", "ack"): ANSWERS, ("robot", "pose_fix"): STATES,
-    ("profile", "query"): READS, ("params", "changed"): CHANGES,
+    ("report", "query"): READS, ("params", "changed"): CHANGES,
 }  # fmt: skip
 """By the first and the last part."""
 

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import structlog
-
 from fullswarm.bus.base import Bus
 from fullswarm.errors import FullswarmError
 from fullswarm.identity.folder import KeysFolder
 from fullswarm.keys import Keys
+from fullswarm.logs import Logger
 from fullswarm.runtime import Scheduler
 
 if TYPE_CHECKING:
     from fullswarm.bus.certificates import CertificateRenewer, RenewalService
     from fullswarm.identity import Credentials
 
-log = structlog.get_logger()
+log = Logger()
 
 AFTER_S = 0.3
 """A command does first what it is for, such as an e-stop."""

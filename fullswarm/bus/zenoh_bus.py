@@ -16,11 +16,11 @@ import atexit
 import contextlib
 import functools
 import json
+import math
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
-import structlog
 import zenoh
 
 from fullswarm.bus.base import Carried, Delivery, Subscription, matches
@@ -34,6 +34,7 @@ from fullswarm.identity.access import ACCESS_KEY
 from fullswarm.identity.binding import Check, check_of
 from fullswarm.identity.credentials import UNNAMED
 from fullswarm.keys import ANY, ROBOT_ID
+from fullswarm.logs import Logger
 from fullswarm.messages import Message
 from fullswarm.runtime import ROOM, Lane, Mailbox
 
@@ -44,6 +45,9 @@ CACHED_KEYS = 1024
 
 FETCHED, FETCHED_AT_ONCE = 4096, 512
 """Messages that wait to be fetched at most, the newest ones, and those that one call takes."""
+MANY_HZ, MANY_S = 1500.0, 0.08
+"""A subscription that gets more than this rests for so long between two fetches: of 100 robots' states every second one
+is then never decoded, and pages are sent half as many."""
 
 LOG_S = 1.0
 LOGGED_KEYS = 32
@@ -52,7 +56,7 @@ LOGGED_KEYS = 32
 _STEERING = frozenset({"command", "commands", "control_request", "control_requests", "request"})
 _STOPPING = frozenset({"stop", "estop", "heartbeat"})
 
-_log = structlog.get_logger("fullswarm.bus")
+_log = Logger("fullswarm.bus")
 
 RETRY_FIRST_S, RETRY_LAST_S, RETRY_FACTOR = 0.1, 0.5, 2
 CLOSE_S = 0.5
@@ -384,6 +388,7 @@ class Inbox:
         self._lock = threading.Lock()
         self._declared: zenoh.Subscriber[Any] | None = None
         self._active = True
+        self._fetched_s, self._rests_s = -math.inf, 0.0
 
     def declare(self, session: zenoh.Session) -> None:
         """Subscribe to messages of other processes at the hub. The caller does this once."""
@@ -404,6 +409,9 @@ class Inbox:
         declared, count = self._declared, 0
         newest: dict[str, tuple[Origin, zenoh.Sample]] = {}
         now_s = self._clock.now_s()
+        passed_s = now_s - self._fetched_s
+        if passed_s < self._rests_s:
+            return False
         with contextlib.suppress(zenoh.ZError):  # another thread closed the bus just now
             while declared is not None and count < FETCHED_AT_ONCE and (sample := declared.try_recv()) is not None:
                 count += 1
@@ -415,7 +423,9 @@ class Inbox:
             message = self._read(key, origin, sample)
             if message is not None:
                 self._deliver(Delivery(message, origin.sender) if self._with_sender else message)
-        return count == FETCHED_AT_ONCE
+        more = count == FETCHED_AT_ONCE
+        self._fetched_s, self._rests_s = now_s, MANY_S if count > MANY_HZ * passed_s and not more else 0.0
+        return more
 
     def receive(self, sample: zenoh.Sample) -> None:
         """Take a message from another process."""

@@ -184,13 +184,13 @@ def _ask_swarm(endpoint: str, swarm: str, wanted: bool) -> Known | None:
     from fullswarm.bus.zenoh_bus import ZenohBus
     from fullswarm.clock import MonotonicClock
     from fullswarm.keys import Keys
+    from fullswarm.logs import log_to_stderr
     from fullswarm.messages import ParamReply, RobotStates
     from fullswarm.operator.params import ParamClient
     from fullswarm.operator.session import own_credentials
-    from fullswarm.output import log_to_stderr
     from fullswarm.runtime import Runtime
 
-    log_to_stderr()
+    log_to_stderr(at_once=False)
     keys, runtime = Keys(swarm), Runtime(MonotonicClock())
     bus = ZenohBus(runtime.mailbox, hub=endpoint, credentials=own_credentials(endpoint, swarm))
     robots: set[str] = set()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fullswarm import output
+from fullswarm import logs, output
 from fullswarm.cli.options import Json, shell_command
 from fullswarm.errors import ConfigError
 
@@ -150,7 +150,7 @@ def console(
                 leave_with_parent(scheduler, leave)
                 report_alive(scheduler)
 
-        output.log_to_stderr(warnings_only=True)
+        logs.log_to_stderr(warnings_only=True)
         return serve(target, options, on_start, None if shown is None else partial(shown, icons=options.icons))
 
 

@@ -108,7 +108,7 @@ def shell_command(
 
                     check_system("this command", needs)
                 if logs:
-                    from fullswarm.output import log_to_stderr
+                    from fullswarm.logs import log_to_stderr
 
                     log_to_stderr()
                 if target:

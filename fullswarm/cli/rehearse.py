@@ -45,7 +45,8 @@ def rehearse(
     """
     if live:
         return _live(robots, minutes, every, seed, as_json=as_json)
-    from fullswarm.output import Progress, data, data_json, quiet
+    from fullswarm.logs import quiet
+    from fullswarm.output import Progress, data, data_json
     from fullswarm.rehearse.faults import check_kinds
     from fullswarm.rehearse.rehearsal import Options, text_of
     from fullswarm.rehearse.rehearsal import rehearse as run
@@ -75,7 +76,8 @@ def _indices(text: str) -> tuple[int, ...]:
 def _live(robots: int, minutes: float, every_s: float, seed: int, *, as_json: bool) -> int:
     from dataclasses import asdict
 
-    from fullswarm.output import data, data_json, log_to_stderr
+    from fullswarm.logs import log_to_stderr
+    from fullswarm.output import data, data_json
     from fullswarm.portability import need_linux
     from fullswarm.rehearse.live.rehearsal import LOSS, rehearse_live, text_of
 

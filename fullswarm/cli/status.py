@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from fullswarm.operator.view import FleetView, RobotRow, Snapshot
 
 COLLECT_S = 1.0
-"""Two periods of the health reports."""
+"""Longest wait for reports: two periods of the health reports. All are asked to report at once."""
+SETTLED_S, LOOK_S = 0.1, 0.02
+"""What is complete, and has not grown for so long, is shown."""
 USUAL = ("bodies", "bumps", "obstacles", "pose", "reverse")
 """Capabilities that the list of robots leaves out; `--json` has them."""
 REFRESH_S = 0.25
@@ -34,12 +36,12 @@ GROUPS_TIMEOUT_S = 3.0
 def status(target: Target, robots: Robots = None, as_json: Json = False) -> int:
     """Show the swarm, or some robots of it, once; those that need attention come first."""
     _need_hub(target)
-    from fullswarm.operator.render import fleet_table
-
     seen = _collect(target, members(target, robots))
     if as_json:
         output.data_json(seen.as_dict())
     else:
+        from fullswarm.operator.render import fleet_table
+
         output.data_table(fleet_table(seen))
     _warn_of_certificates(target)
     return 0
@@ -206,6 +208,20 @@ def _collect(target: Target, ids: tuple[str, ...] = ()) -> Snapshot:
 
     with session.connect(target) as connection:
         view = FleetView(connection.bus, connection.keys, connection.runtime, ids)
+        grown_s, known = connection.runtime.now_s(), 0
+
+        def look() -> None:
+            nonlocal grown_s, known
+            now_s, before = connection.runtime.now_s(), known
+            known = view.received()
+            if known != before:
+                grown_s = now_s
+            elif now_s - grown_s >= SETTLED_S and view.complete():
+                connection.finish()
+
+        connection.runtime.every(LOOK_S, look)
+        import fullswarm.operator.render  # noqa: F401  (takes as long as the answers, which arrive meanwhile)
+
         connection.run(COLLECT_S)
         return _only(view, ids)
 

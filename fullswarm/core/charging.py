@@ -20,6 +20,7 @@ from typing import Literal
 import structlog
 
 from fullswarm.bus import Bus
+from fullswarm.bus.report_query import ReportsOnQuery
 from fullswarm.config import SwarmConfig
 from fullswarm.config.docks import Slot, Thresholds, slots_of, thresholds_of
 from fullswarm.core.charge_plan import Candidate, latest_begins, nearest_free
@@ -129,10 +130,12 @@ class ChargingNode:
         self._said: object = None
         self._timer: Timer | None = None
         self._subscription = None
+        self._on_query: ReportsOnQuery | None = None
         if self._places:
             self._remember_owners()
             self._timer = scheduler.every(TICK_S, self._tick)
             self._subscription = bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True)
+            self._on_query = ReportsOnQuery(bus, keys, scheduler, self._report)
 
     def close(self) -> None:
         """Stop planning: robots in docks stay there, robots on their way stand once the core is silent."""
@@ -140,6 +143,8 @@ class ChargingNode:
             self._timer.cancel()
         if self._subscription is not None:
             self._subscription.close()
+        if self._on_query is not None:
+            self._on_query.close()
 
     # ---------------------------------------------------------------- what is known
     def _on_states(self, states: RobotStates) -> None:
@@ -503,6 +508,10 @@ class ChargingNode:
             stamp_s=self._scheduler.now_s(),
         )
         self._bus.publish(self._keys.charge(trip.robot), order)
+
+    def _report(self) -> None:
+        self._said = None
+        self._publish(self._scheduler.now_s())
 
     def _publish(self, now_s: float) -> None:
         """Publish the docks where they have changed, and now and then."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from fullswarm.bus import Bus
+from fullswarm.bus.report_query import ReportsOnQuery
 from fullswarm.errors import RequestRefused
 from fullswarm.keys import Keys
 from fullswarm.messages import Lease, LeaseRequest, Leases
@@ -56,7 +57,8 @@ class Authority:
         self._held: dict[str, Held] = {}
         self._sequence = 0
         self._expiry: Timer | None = None  # runs only while there are leases
-        self._timer = scheduler.every(PUBLISH_S, self._publish, first_s=0.0)
+        self._timer = scheduler.every(PUBLISH_S, self.report, first_s=0.0)
+        self._on_query = ReportsOnQuery(bus, keys, scheduler, self.report)
         self._subscription = bus.subscribe(keys.lease_request, LeaseRequest, self._requested)
 
     def holder(self, robot: str) -> str:
@@ -87,10 +89,11 @@ class Authority:
             else:
                 self._held[robot] = Held(operator[:LONGEST_NAME], now_s, now_s, held.operator)
         if others:
-            self._publish()
+            self.report()
 
     def close(self) -> None:
         """Stop granting."""
+        self._on_query.close()
         self._subscription.close()
         self._timer.cancel()
         if self._expiry is not None:
@@ -104,7 +107,7 @@ class Authority:
         changed = self._grant(request, robots) if request.hold else self._give_back(request.operator, robots)
         if changed:
             self._watch()
-            self._publish()
+            self.report()
 
     def _grant(self, request: LeaseRequest, robots: Iterable[str]) -> bool:
         now_s, changed = self._scheduler.now_s(), False
@@ -132,7 +135,7 @@ class Authority:
             del self._held[robot]
         if expired:
             self._watch()
-            self._publish()
+            self.report()
 
     def _watch(self) -> None:
         """Check for expired leases while there are any."""
@@ -142,7 +145,8 @@ class Authority:
             self._expiry.cancel()
             self._expiry = None
 
-    def _publish(self) -> None:
+    def report(self) -> None:
+        """Publish the leases."""
         self._sequence += 1
         now_s = self._scheduler.now_s()
         leases = tuple(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus import Bus
 from fullswarm.keys import ROBOT_ID, Keys
-from fullswarm.messages import HealthReport, ProfileQuery, RobotHealth, RobotProfile, RobotProfiles
+from fullswarm.messages import HealthReport, ReportQuery, RobotHealth, RobotProfile, RobotProfiles
 from fullswarm.recent import Names, Recent
 from fullswarm.runtime import Scheduler
 
@@ -116,7 +116,7 @@ class Roster:
         if now_s - self._asked_s < ASK_S or all(each in self._profiles for each in self.present()):
             return
         self._asked_s = now_s
-        self._bus.publish(self._keys.profile_query, ProfileQuery(source="core"))
+        self._bus.publish(self._keys.report_query, ReportQuery(source="core"))
 
     def _describe(self, message: RobotProfiles) -> None:
         for profile in message.robots:

@@ -51,10 +51,10 @@ from fullswarm.messages import (
     Ping,
     PoseFix,
     ProcessReport,
-    ProfileQuery,
     RangeFix,
     Reception,
     RelayedStates,
+    ReportQuery,
     RequestStatus,
     RobotMeasurement,
     RobotProfiles,
@@ -152,7 +152,9 @@ TOPICS: tuple[Topic, ...] = (
     Topic("state/*/<host>", (RobotStates,), _OWN_ROBOT, _any("robot", "core", "centralised", "world") | _PEOPLE),
     Topic("broadcast/*/<host>", (BehaviourBroadcast,), _OWN_ROBOT, _NEIGHBOURS),
     Topic("profile/*/<host>", (RobotProfiles,), _OWN_ROBOT, _any("robot", "core", "centralised") | _PEOPLE),
-    Topic("profile/query", (ProfileQuery,), _OPERATORS | _any("core", "centralised"), _NEIGHBOURS),
+    Topic(
+        "report/query", (ReportQuery,), _OPERATORS | _any("core", "centralised"), _any("core", "world") | _NEIGHBOURS
+    ),
     Topic("reception/<host>", (Reception,), _OWN_ROBOT, _any("core", "observer")),
     Topic("relay/<host>", (RelayedStates,), _CORE, _OWN_ROBOT | _any("observer")),
     Topic("searched/<host>", (SearchedDiscs,), _OWN_ROBOT, _NEIGHBOURS),

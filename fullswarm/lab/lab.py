@@ -40,8 +40,8 @@ from fullswarm.lab.recording import Recording
 from fullswarm.lab.request import LabRequest
 from fullswarm.lab.settings import from_arguments, from_file
 from fullswarm.launch.lockstep import Lockstep
+from fullswarm.logs import quiet
 from fullswarm.operator.client import Operator
-from fullswarm.output import quiet
 from fullswarm.perf.truth import Truth
 
 if TYPE_CHECKING:

@@ -17,11 +17,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fullswarm import output
-from fullswarm.bus.endpoint import credentials_at, is_loopback
+from fullswarm.bus.endpoint import DEFAULT_HUB, credentials_at, is_loopback
 from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
-from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import MissingExtra
 from fullswarm.keys import Keys
 from fullswarm.launch.nodes import Node

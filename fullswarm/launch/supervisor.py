@@ -23,6 +23,7 @@ import structlog
 
 from fullswarm import registry
 from fullswarm.bus.base import CORE, Bus, NamedBus, SenderBus
+from fullswarm.bus.report_query import ReportsOnQuery
 from fullswarm.config import SwarmConfig
 from fullswarm.config.fleet_file import write_swarm
 from fullswarm.errors import ConfigError
@@ -210,7 +211,12 @@ class Supervisor:
     def report_to(self, bus: SenderBus) -> None:
         """Publish how the processes are, from now on: twice a second and when one changes its phase."""
         host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname())[:64]
-        self._reports = NamedBus(bus, CORE), Keys(self.config.swarm).processes(host), host
+        named, keys = NamedBus(bus, CORE), Keys(self.config.swarm)
+        self._reports = named, keys.processes(host), host
+        ReportsOnQuery(named, keys, self.scheduler, self._report_soon)
+
+    def _report_soon(self) -> None:
+        self._reported_s = -REPORT_S
 
     def kept_folder(self) -> Path:
         """Return the folder with the logs, which then outlasts this run for some days: for an error that names it."""

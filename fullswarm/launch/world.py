@@ -18,6 +18,7 @@ import numpy as np
 
 from fullswarm import kernels, registry
 from fullswarm.bus.base import Bus
+from fullswarm.bus.report_query import ReportsOnQuery
 from fullswarm.config import SwarmConfig
 from fullswarm.config.docks import slots_of
 from fullswarm.drivers.base import Pose
@@ -129,6 +130,7 @@ class WorldNode:
             scheduler.every(HEARTBEAT_S, self._beat, first_s=0.0),
         ]
         self._held_until_s = -math.inf
+        self._on_query = ReportsOnQuery(bus, self._keys, scheduler, self._beat)
         self._subscriptions = [bus.subscribe(self._keys.world_hold, WorldHold, self._on_hold)]
         if real:
             self._subscriptions.append(bus.subscribe(self._keys.state(), RobotStates, self._on_states))
@@ -229,6 +231,7 @@ class WorldNode:
         """Switch off the emulated robots, give up all ports, let go of the physics."""
         for timer in self._timers:
             timer.cancel()
+        self._on_query.close()
         for subscription in self._subscriptions:
             subscription.close()
         self._end()

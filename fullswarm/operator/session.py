@@ -10,19 +10,18 @@ from contextlib import contextmanager
 from types import FrameType
 
 from fullswarm.bus.base import Bus
-from fullswarm.bus.endpoint import credentials_at
+from fullswarm.bus.endpoint import DEFAULT_HUB, credentials_at
 from fullswarm.clock import MonotonicClock, clock_id
-from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import Unreachable
 from fullswarm.identity import Credentials
 from fullswarm.identity.folder import certificate_name
 from fullswarm.keys import Keys
+from fullswarm.logs import log_to_stderr
 from fullswarm.operator.client import Operator
 from fullswarm.operator.target import OPERATOR as OPERATOR
 from fullswarm.operator.target import Target as Target
 from fullswarm.operator.target import operator_name as operator_name
 from fullswarm.operator.target import usual_name as usual_name
-from fullswarm.output import log_to_stderr
 from fullswarm.runtime import Runtime
 
 CONNECT_S = 3.0
@@ -109,7 +108,7 @@ def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
     from fullswarm.bus.renewal import renew_later
     from fullswarm.bus.zenoh_bus import ZenohBus
 
-    log_to_stderr()
+    log_to_stderr(at_once=False)
     keys = Keys(target.swarm)
     runtime = Runtime(MonotonicClock())
     hub = target.hub or DEFAULT_HUB

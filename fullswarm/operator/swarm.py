@@ -25,14 +25,15 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from fullswarm.bus.base import OPERATOR, NamedBus
+from fullswarm.bus.endpoint import DEFAULT_HUB
 from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
-from fullswarm.config import DEFAULT_HUB
 from fullswarm.config.mission_file import MissionFile, load_mission, read_mission
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, TimedOut, Unreachable
 from fullswarm.fitness import needs_of
 from fullswarm.keys import Keys
+from fullswarm.logs import quiet
 from fullswarm.messages import (
     EStopReceipt,
     MissionOp,
@@ -53,7 +54,6 @@ from fullswarm.operator.outcome import ended, refusal, settled
 from fullswarm.operator.params import ParamClient
 from fullswarm.operator.session import operator_name, own_credentials, usual_name
 from fullswarm.operator.view import FleetView, RobotRow, Snapshot
-from fullswarm.output import quiet
 from fullswarm.parameters import goals_of
 from fullswarm.reasons import Code
 from fullswarm.recent import Recent

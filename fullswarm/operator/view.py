@@ -21,7 +21,7 @@ from fullswarm.messages import (
     Leases,
     ProcessReport,
     ProcessState,
-    ProfileQuery,
+    ReportQuery,
     RequestStatus,
     RobotHealth,
     RobotMemory,
@@ -41,8 +41,8 @@ CHARGING_S = 6.0
 LEASES_S = 3.0
 """The core reports them each second; older ones may have expired."""
 
-ASK_S = 0.5
-"""Between two queries for profiles that have not been received."""
+ASK_FIRST_S, ASK_S = 0.02, 0.5
+"""When all are asked to report, after the subscriptions; then between two queries while profiles are missing."""
 
 MEMORY_S = 3.0
 """What a control law remembers, and what it asks of actuators, is reported each second; older: it has ended."""
@@ -228,7 +228,7 @@ class FleetView:
         ]
 
         self._asked = False
-        self._asking = scheduler.every(ASK_S, self._ask, first_s=ASK_S / 2)
+        self._asking = scheduler.every(ASK_S, self._ask, first_s=ASK_FIRST_S)
 
     def _ask(self) -> None:
         """Ask for profiles that have not been received: their agents send them seldom otherwise."""
@@ -236,7 +236,20 @@ class FleetView:
             names.sweep(self._scheduler.now_s())
         if not self._asked or not self._profiles.keys() >= self._health.keys():
             self._asked = True
-            self._bus.publish(self._keys.profile_query, ProfileQuery(source="operator"))
+            self._bus.publish(self._keys.report_query, ReportQuery(source="operator"))
+
+    def complete(self) -> bool:
+        """Tell whether all is known of each robot that is expected or was received, and whose leases a core reports."""
+        robots = self.present()
+        tables = (self._states, self._health, self._profiles)
+        return bool(robots) and all(table.keys() >= set(robots) for table in tables) and (
+            "core" not in self._nodes or math.isfinite(self._leases[0])
+        )  # fmt: skip
+
+    def received(self) -> int:
+        """Return of how many robots, processes and metrics something has been received."""
+        tables = (self._states, self._health, self._profiles, self._nodes, self._processes, self._summaries)
+        return sum(len(table) for table in tables)
 
     def robots(self) -> tuple[str, ...]:
         """Return the robots that have been received so far, by id."""

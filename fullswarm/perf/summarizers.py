@@ -21,6 +21,7 @@ import msgspec
 import structlog
 
 from fullswarm.bus.base import Bus
+from fullswarm.bus.report_query import ReportsOnQuery
 from fullswarm.errors import MessageError
 from fullswarm.keys import TRUTH, Keys
 from fullswarm.messages import CoverageMeasurement, RobotMeasurement, Summary
@@ -81,6 +82,7 @@ class Summarizer(Generic[M]):
         self._deadline: Timer | None = None
         self._period_s = period_s
         self._timer = scheduler.every(period_s, lambda: self._safely(self._on_period))
+        self._on_query = ReportsOnQuery(bus, keys, scheduler, self.report)
         take = lambda message: self._safely(lambda: self._on_measurement(message))  # noqa: E731
         self._subscription = bus.subscribe(keys.measurement(topic or metric), kind, take, latest=True)
 
@@ -111,6 +113,7 @@ class Summarizer(Generic[M]):
 
     def close(self) -> None:
         """Unsubscribe and stop reporting. Closing twice is fine."""
+        self._on_query.close()
         self._subscription.close()
         self._timer.cancel()
         self._cancel_deadline()

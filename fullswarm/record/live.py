@@ -6,8 +6,8 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fullswarm.bus.endpoint import DEFAULT_HUB
 from fullswarm.clock import wall_time_s
-from fullswarm.config import DEFAULT_HUB
 from fullswarm.config.fleet_file import load_swarm
 from fullswarm.errors import FullswarmError
 from fullswarm.launch import run_folder

@@ -17,11 +17,10 @@ from typing import IO
 
 import structlog
 
-from fullswarm.bus.endpoint import credentials_at
+from fullswarm.bus.endpoint import DEFAULT_HUB, credentials_at
 from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, wall_time_s
-from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch.journals import code_hash, journal_folder

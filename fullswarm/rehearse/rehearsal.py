@@ -14,7 +14,8 @@ from functools import partial
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.errors import ConfigError
-from fullswarm.output import Progress, quiet
+from fullswarm.logs import quiet
+from fullswarm.output import Progress
 from fullswarm.rehearse.episode import EPISODE_S, Result, faults_of, run
 
 HOUR_S = 3600.0

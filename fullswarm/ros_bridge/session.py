@@ -6,11 +6,10 @@ import re
 from dataclasses import dataclass
 
 from fullswarm.bus.base import OPERATOR, NamedBus
-from fullswarm.bus.endpoint import credentials_at, host_of, is_loopback
+from fullswarm.bus.endpoint import DEFAULT_HUB, credentials_at, host_of, is_loopback
 from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, wall_time_s
-from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.operator.session import CONNECT_S, Session, Target, own_credentials

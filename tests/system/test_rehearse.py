@@ -15,8 +15,8 @@ from fullswarm.agent.orders.inbox import Inbox
 from fullswarm.agent.orders.tasks import Task, Tasks
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import ConfigError
+from fullswarm.logs import quiet
 from fullswarm.messages import ControlRequest, EStop
-from fullswarm.output import quiet
 from fullswarm.rehearse import episode
 from fullswarm.rehearse.faults import KINDS, plan
 from fullswarm.rehearse.rehearsal import Options, Report, rehearse
@@ -72,7 +72,7 @@ def test_an_episode_with_crashes_and_partitions_breaks_nothing() -> None:
 
 REPEAT = """
 import json
-from fullswarm.output import quiet
+from fullswarm.logs import quiet
 from fullswarm.rehearse.rehearsal import Options, rehearse
 quiet()
 print(json.dumps(rehearse(Options(seed=3, hours=0.02, robots=2, episode_s=35.0, jobs=1)).as_dict()))

@@ -20,7 +20,7 @@ KEYS = Keys("lab")
         (KEYS.control_requests("r1", "drive"), ORDERS), (KEYS.command(), ORDERS), (KEYS.ack(), ANSWERS),
         (KEYS.behaviour_status, ANSWERS), (KEYS.param_changed(), CHANGES),
         (KEYS.heartbeat("core"), ORDERS), (KEYS.state(), STATES), (KEYS.pose_fix("r1"), STATES),
-        (KEYS.health(), STATES), (KEYS.profile(), STATES), (KEYS.profile_query, READS),
+        (KEYS.health(), STATES), (KEYS.profile(), STATES), (KEYS.report_query, READS),
         (KEYS.param_request("core"), READS), (KEYS.measurement("robots"), READS), (KEYS.summary(), READS),
     ],
 )  # fmt: skip

@@ -26,7 +26,7 @@ from fullswarm.messages import (
     MissionReply,
     MissionRequest,
     Needs,
-    ProfileQuery,
+    ReportQuery,
     RequestStatus,
     RobotProfile,
     RobotProfiles,
@@ -326,8 +326,8 @@ def test_operators_learn_at_once_what_robots_are_and_who_cannot_take_part(swarm:
     ]
     assert demands({}, seen) == []
     swarm.lockstep.run(3.0)
-    queries: list[ProfileQuery] = []
-    swarm.lockstep.bus.subscribe(Keys().profile_query, ProfileQuery, queries.append)
+    queries: list[ReportQuery] = []
+    swarm.lockstep.bus.subscribe(Keys().report_query, ReportQuery, queries.append)
     swarm.lockstep.run(5.0)
     assert queries == []  # all is known
     view.close()

@@ -53,6 +53,24 @@ def test_a_motion_after_a_stop_or_without_an_agent_or_before_anything_was_asked(
     assert record.judge().clean, "the core lives"
 
 
+def test_the_time_in_which_the_world_stood_still_does_not_count() -> None:
+    record = good()
+    record.downs = [Down("link of r1", 24.0, 30.0)]
+    record.moved = [(at_s, "r1") for at_s in (23.9, 28.0)]
+    assert len(record.judge().uncommanded) == 1
+    record.stood = [(10.0, 12.0), (24.5, 27.9)]
+    assert record.judge().clean, "it has run for 0.6 s"
+    record.moved.append((29.95, "r1"))
+    assert not record.judge().uncommanded, "2.55 s, but the link is back at once"
+    record.downs = [Down("link of r1", 24.0, 40.0)]
+    assert record.judge().uncommanded == ["r1 moved at 29.95 (1 samples) although link of r1 was down since 24.00"]
+    stopped(record := good(), 30.0)
+    record.moved = [(at_s, "r1") for at_s in (29.0, 33.0)]
+    assert len(record.judge().uncommanded) == 1
+    record.stood = [(30.2, 32.9)]
+    assert not record.judge().uncommanded
+
+
 @pytest.mark.parametrize(("stopped_s", "wrong"), [(24.0, 0), (30.0, 1)])
 @pytest.mark.parametrize("operator", ["ann", "bob"])
 def test_a_late_request_moves_no_robot_that_anybody_stopped_after_it_was_sent(

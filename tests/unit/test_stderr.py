@@ -18,7 +18,7 @@ FULL = Path("/dev/full")
 """Each write to it fails as on a full disk."""
 PROGRAM = """
 import sys, structlog, typer
-from fullswarm.output import log_to_stderr
+from fullswarm.logs import log_to_stderr
 from fullswarm.stderr import survive_full_disk
 survive_full_disk()
 log_to_stderr()

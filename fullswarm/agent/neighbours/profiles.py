@@ -17,7 +17,7 @@ from fullswarm.bus.base import Bus
 from fullswarm.drivers.base import Description
 from fullswarm.kernels import Array, Index
 from fullswarm.keys import WHOLE_SWARM_CELL, Keys, cell_of
-from fullswarm.messages import ProfileQuery, RobotProfile, RobotProfiles
+from fullswarm.messages import RobotProfile, RobotProfiles
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
@@ -110,7 +110,6 @@ class Profiles:
         self._waiting: Recent[str, RobotProfile] = Recent(EARLY)  # of robots whose states have not been received yet
         self._processes: Recent[str, str] = Recent(REMEMBERED)  # host → its process
         self._subscriptions = CellSubscriptions(bus, keys.profile, RobotProfiles, cell_m, self._on_profiles)
-        self._query = bus.subscribe(keys.profile_query, ProfileQuery, self._on_query)
         self._sent_s = self._looked_s = -math.inf
         self._asked, self._cells, self._robots = True, tuple[str, ...](), 0
         self._charge = np.full(len(own), -1.0)
@@ -169,8 +168,10 @@ class Profiles:
             else:
                 self._waiting[profile.robot] = profile
 
-    def _on_query(self, _: ProfileQuery) -> None:
-        self._asked, self._looked_s = True, self._sent_s
+    def report(self) -> None:
+        """Publish the profiles now: somebody has asked."""
+        self._asked, self._looked_s = True, -math.inf
+        self.update(self._scheduler.now_s())
 
     def _settle(self) -> None:
         """Find rows for profiles that came before the first state of their robots."""
@@ -180,4 +181,3 @@ class Profiles:
     def close(self) -> None:
         """Drop the subscriptions."""
         self._subscriptions.close()
-        self._query.close()

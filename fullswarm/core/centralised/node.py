@@ -23,7 +23,7 @@ from fullswarm.messages import (
     CentralisedCommands,
     CentralisedRequest,
     Heartbeat,
-    ProfileQuery,
+    ReportQuery,
     RobotProfile,
     RobotProfiles,
     RobotStates,
@@ -176,7 +176,7 @@ class CentralisedNode:
                 job.state, job.joint = other.state.copy(), other.joint
         self._jobs[request.request_id] = job
         if not self._profiles.keys() >= set(request.robots):
-            self._bus.publish(self._keys.profile_query, ProfileQuery(source=NODE))
+            self._bus.publish(self._keys.report_query, ReportQuery(source=NODE))
 
     def _log_once(self, request: CentralisedRequest, error: Exception) -> None:
         """Log once per request, which the core repeats, and of a flood of requests one per second."""

@@ -41,7 +41,7 @@ class Task:
 
     def __call__(self, trial: Trial) -> tuple[TrialResult, Files]:
         """Run a trial; return its result and its files."""
-        from fullswarm.output import log_to_stderr
+        from fullswarm.logs import log_to_stderr
 
         log_to_stderr(warnings_only=True)
         with Path(os.devnull).open("w") as nowhere:

@@ -29,7 +29,7 @@ PR_SET_PDEATHSIG = 1
 
 def serve(connection: Connection, work: Work, parent: int) -> None:
     """Run the trials that come through `connection` until it ends: what a worker process does."""
-    from fullswarm.output import log_to_stderr
+    from fullswarm.logs import log_to_stderr
 
     _leave_group()
     _die_with(parent)

@@ -22,11 +22,10 @@ from typing import TYPE_CHECKING, Any
 
 from fullswarm import __version__, output
 from fullswarm.bus.base import OPERATOR, NamedBus
-from fullswarm.bus.endpoint import credentials_at, is_loopback
+from fullswarm.bus.endpoint import DEFAULT_HUB, credentials_at, is_loopback
 from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, wall_time_s
-from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
 from fullswarm.keys import Keys
 from fullswarm.operator.console.tokens import Doorkeeper, TokenFile, check_private

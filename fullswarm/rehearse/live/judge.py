@@ -109,7 +109,11 @@ class Verdict:
 
 @dataclass(slots=True)
 class Record:
-    """All observations. `moved` are moments at which a body moved, sampled at 10 Hz."""
+    """All observations. `moved` are moments at which a body moved, sampled at 10 Hz.
+
+    `stood` are spans in which the process of the world and of these observations did not run: the machine had suspended
+    it. No body moves in them, and what its watchdog and brakes take goes on after them.
+    """
 
     asks: dict[str, Ask] = field(default_factory=dict)
     ran: list[Ran] = field(default_factory=list)
@@ -117,6 +121,7 @@ class Record:
     seen: set[tuple[str, str]] = field(default_factory=set)  # (robot, request) that a report named
     moved: list[tuple[float, str]] = field(default_factory=list)
     standing: list[tuple[float, str, str]] = field(default_factory=list)  # (when, robot, stop) confirmed
+    stood: list[tuple[float, float]] = field(default_factory=list)  # (from, to), in order, apart
     downs: list[Down] = field(default_factory=list)
     killed: dict[str, float] = field(default_factory=dict)  # operator's request that died with its process → when
     late: dict[str, float] = field(default_factory=dict)  # request that was delayed on purpose → when it was sent
@@ -185,7 +190,7 @@ class Record:
         for confirmed_s, robot, stop_id in sorted(self.standing):
             stop = self.asks.get(stop_id)
             if stop is not None and (not stands[robot] or stop.t > stands[robot][-1][1]):
-                stands[robot].append((confirmed_s + STOPPED_S, stop.t, stop_id))
+                stands[robot].append((self._later_s(confirmed_s, STOPPED_S), stop.t, stop_id))
         incidents: dict[tuple[str, str], list[float]] = defaultdict(list)
         for t, robot in self.moved:
             why = self._dead(t, robot) or _unrequested(t, asked[robot], stands[robot])
@@ -206,9 +211,17 @@ class Record:
         for down in self.downs:
             patience_s = LINK_DEAD_S if down.name in links else AGENT_DEAD_S
             concerns = down.name in (*links, robot, f"e-stop of {robot}")
-            if concerns and down.from_s + patience_s < t < down.to_s - RACE_S:
+            if concerns and self._later_s(down.from_s, patience_s) < t < down.to_s - RACE_S:
                 return f"{down.name} was down since {down.from_s:.2f}"
         return ""
+
+    def _later_s(self, from_s: float, patience_s: float) -> float:
+        """Return when the world has run for `patience_s` since `from_s`."""
+        end_s = from_s + patience_s
+        for begin_s, until_s in self.stood:
+            if until_s > from_s and begin_s < end_s:
+                end_s += until_s - max(begin_s, from_s)
+        return end_s
 
     def _trouble_s(self, robot: str, from_s: float, to_s: float) -> float:
         """Return how long, between two moments, a process between operator and `robot` was down or recovering."""

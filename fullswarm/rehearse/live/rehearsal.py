@@ -55,7 +55,8 @@ OPERATOR_MODULE = "fullswarm.rehearse.live.operator_process"
 LOSS = 0.01
 """Share of all messages that is lost all the time."""
 OPERATORS = (("ann", "ann-shell"), ("ann", "ann-pad"), ("bob", "bob-shell"))
-LOOK_S = 0.1
+LOOK_S, STOOD_S = 0.1, 0.3
+"""How often bodies are looked at; this process, and with it the world, did not run for a gap longer than the second."""
 FRESH_S = 1.2
 SETTLE_S = 12.0
 FORGET_S = 30.0
@@ -130,6 +131,7 @@ class LiveRehearsal:
         self.last: dict[str, BehaviourRequest] = {}  # by the requesting process
         self.down: dict[str, float] = {}
         self.up_s: dict[str, float] = {}
+        self.looked_s = math.inf
         self.people: dict[str, subprocess.Popen[bytes]] = {}
         self.starts: dict[str, int] = defaultdict(int)
         self.accepted: set[str] = set()
@@ -226,6 +228,9 @@ class LiveRehearsal:
     def _look(self) -> None:
         """Check, ten times a second, which bodies move and which robots have recovered."""
         now_s, world = self.runtime.now_s(), self.world.world
+        if now_s - self.looked_s > STOOD_S:
+            self.record.stood.append((self.looked_s, now_s))
+        self.looked_s = now_s
         for row, robot in enumerate(self.config.robots):
             speed_m_s, turn_rad_s = abs(world.twist[row]).tolist()
             if speed_m_s > MOVES_M_S or turn_rad_s > MOVES_RAD_S:

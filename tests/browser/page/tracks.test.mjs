@@ -56,6 +56,17 @@ test("the fastest message tells the server's clock", () => {
   assert.ok(Math.abs(clock.drawn(520) - (1 - DELAY_S)) < 1e-9);
 });
 
+test("the map is drawn as far in the past as states are apart, so that it always knows both ends", () => {
+  const clock = new ServerClock();
+  for (let k = 0; k < 100; k += 1) clock.update(k * 0.05, 500 + k * 0.05);
+  assert.ok(Math.abs(clock.drawn(504.95) - (4.95 - DELAY_S)) < 1e-6, "20 a second");
+  for (let k = 0; k < 100; k += 1) clock.update(5 + k * 0.1, 505 + k * 0.1);
+  const drawn_s = clock.drawn(514.9);
+  assert.ok(drawn_s < 14.8 && drawn_s > 14.7, `10 a second: ${drawn_s}`);
+  clock.update(60, 560); // a pause is not a rate
+  assert.ok(clock.drawn(560) > 59.8);
+});
+
 test("zooming leaves the point under the mouse where it is, and screen and world agree", () => {
   const view = new Viewport();
   [view.width, view.height] = [800, 600];

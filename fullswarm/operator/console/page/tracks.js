@@ -5,7 +5,9 @@ import { mixAngle } from "./geometry.js";
 /** @import { Point } from "./types.d.ts" */
 
 const KEPT = 8;
-export const DELAY_S = 0.08;
+export const DELAY_S = 0.08; // at the usual 20 states a second
+const SPARE_S = 0.03; // beside the time between two states
+const LONGEST_GAP_S = 0.3; // a longer one is a pause
 const TRAIL_S = 60;
 const TRAIL_STEP_S = 0.2;
 const TRAIL_STEP_M = 0.03;
@@ -14,6 +16,8 @@ const TRAIL_STEP_M = 0.03;
 export class ServerClock {
   constructor() {
     this.offset_s = Infinity;
+    this.newest_s = Infinity;
+    this.gap_s = 0; // between two states: the console sends fewer of many robots
   }
 
   /**
@@ -26,6 +30,9 @@ export class ServerClock {
     // Drifts slowly, so that a clock which runs differently is followed; jumps when the server was restarted.
     if (offset < this.offset_s || offset > this.offset_s + 2) this.offset_s = offset;
     else this.offset_s += (offset - this.offset_s) * 0.002;
+    const gap_s = at_s - this.newest_s;
+    if (gap_s > 0 && gap_s < LONGEST_GAP_S) this.gap_s += (gap_s - this.gap_s) * 0.1;
+    this.newest_s = at_s;
   }
 
   /**
@@ -33,7 +40,7 @@ export class ServerClock {
    * @param {number} now_s
    */
   drawn(now_s) {
-    return now_s - this.offset_s - DELAY_S;
+    return now_s - this.offset_s - Math.max(DELAY_S, this.gap_s + SPARE_S);
   }
 }
 
