@@ -202,19 +202,23 @@ def test_the_fleet_is_told_in_words_and_not_too_often(played: Play) -> None:
     console.page.set_viewport_size(viewport((1440, 900)))
     words = console.named("fleet-words")
     expect(words).to_have_text("8 robots, 8 moving, none needs attention")
-    assert words.get_attribute("role") == "status"
+    told_aloud = console.named("fleet-told")
+    expect(told_aloud).to_have_text("8 robots, 8 moving, none needs attention")
+    assert told_aloud.get_attribute("role") == "status"
     console.page.evaluate("""() => {
       window.told = [];
       const watch = new MutationObserver(() => window.told.push(performance.now()));
-      watch.observe(document.getElementById("fleet-words"), { childList: true, characterData: true, subtree: true });
+      watch.observe(document.getElementById("fleet-told"), { childList: true, characterData: true, subtree: true });
     }""")
     change(console, trouble={"r3": ["cliff", "no floor"]})
     expect(words).to_have_text("8 robots, 8 moving, 1 needs attention: r3, cliff")
     for number in range(12):
         change(console, moving=bool(number % 2))
+        expect(words).to_contain_text("8 moving" if number % 2 else "none moving", timeout=500)
         console.page.wait_for_timeout(100)
     change(console, trouble={}, moving=True)
     expect(words).to_have_text("8 robots, 8 moving, none needs attention")
+    expect(told_aloud).to_have_text("8 robots, 8 moving, none needs attention")
     told: list[float] = console.page.evaluate("window.told")
     assert len(told) <= 3
     assert all(later - sooner > 900.0 for sooner, later in pairwise(told))

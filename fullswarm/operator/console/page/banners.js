@@ -93,7 +93,7 @@ export class Banners extends Emitter {
     const robots = [...holders.keys()];
     const names = [...new Set(holders.values())].join(", ");
     const verb = robots.length === 1 ? "is" : "are";
-    setText(byId("question-words"), `${short(robots)} ${verb} held by ${names}: take over?`);
+    setText(byId("question-words"), `${short(robots)} ${verb} held by ${names}`);
     this.#takeOver = take;
     this.#questioned = robots;
     byId("hint").hidden = true; // that it was refused goes without saying

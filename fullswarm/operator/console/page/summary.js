@@ -24,7 +24,8 @@ export class Summary {
   #update() {
     clearTimeout(this.#timer);
     const { words, trouble } = fleetWords([...this.store.fleet.values()]);
-    if (words === byId("fleet-words").textContent) return;
+    setText(byId("fleet-words"), words);
+    if (words === byId("fleet-told").textContent) return;
     const wait_ms = this.#said_ms + (trouble === this.#trouble ? EVERY_MS : URGENT_MS) - performance.now();
     if (wait_ms > 0) {
       this.#timer = setTimeout(() => this.#update(), wait_ms);
@@ -32,7 +33,7 @@ export class Summary {
     }
     this.#said_ms = performance.now();
     this.#trouble = trouble;
-    setText(byId("fleet-words"), words);
+    setText(byId("fleet-told"), words);
   }
 }
 
