@@ -271,14 +271,15 @@ def chart_form(console: Console) -> Iterator[None]:
 
 @contextmanager
 def lines(console: Console) -> Iterator[None]:
-    """A chart has a line for each of eight robots, and its cursor names them."""
+    """A chart has a line for each of eight robots, of more their least, median and largest; its cursor names them."""
     show(console, "charts")
     console.named("chart-add").click()
     console.named("chart-of").select_option("speed")
     console.named("chart-submit").click()
     console.named("chart-plot-3").focus()
     console.page.keyboard.press("Home")
-    expect(console.named("chart-tip-3")).to_contain_text("r8")
+    few = len(console.page.evaluate("fake.ids()")) <= 8
+    expect(console.named("chart-tip-3")).to_contain_text("r8" if few else "median of")
     yield
     console.named("chart-title-3").click()
     console.named("chart-remove").click()

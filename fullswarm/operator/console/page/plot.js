@@ -260,7 +260,10 @@ export class Plot {
     this.#pointed = seconds;
     const plot = this.#plot;
     if (!plot) return;
-    plot.setCursor(seconds === null ? { left: -10, top: -10 } : { left: plot.valToPos(seconds, "x"), top: 10 });
+    const times = plot.data[0];
+    // What was the oldest time has left the chart by now.
+    const shown = seconds === null || !times.length ? null : Math.min(times[times.length - 1], Math.max(times[0], seconds));
+    plot.setCursor(shown === null ? { left: -10, top: -10 } : { left: Math.max(0, plot.valToPos(shown, "x")), top: 10 });
   }
 
   /** @param {KeyboardEvent} event */
