@@ -141,8 +141,9 @@ class ObjectTracker:
         """
         if bodies is not None and stamp_s > self._stamp_s:
             self._stamp_s = stamp_s
-            if len(bodies) or self._tracks:
-                self._see(stamp_s, pose[:, :2], bodies, self.strange(bodies, now_s))
+            strange = self.strange(bodies, now_s)
+            if self._tracks or strange.any():
+                self._see(stamp_s, pose[:, :2], bodies, strange)
         if self._tracks or self._told or self.any:
             self._publish(now_s, pose[:, :2])
 
