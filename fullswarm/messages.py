@@ -305,6 +305,18 @@ class MissionReply(Message, frozen=True, kw_only=True):
     problems: Annotated[tuple[MissionProblem, ...], Meta(max_length=MOST)] = ()
 
 
+MOST_PLACE_POINTS = 64
+"""Points of a place that are shown; a behaviour may have more."""
+
+
+class StepPlace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A place on the map that a step of a mission names; part of StepStatus. World frame."""
+
+    parameter: Label  # of the behaviour
+    kind: Literal["point", "points", "area", "formation"]  # area: opposite corners or all; formation: one per robot
+    points: Annotated[tuple[tuple[Metres, Metres], ...], Meta(max_length=MOST_PLACE_POINTS)]
+
+
 class StepStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One step of a mission as it is now; part of TrackStatus."""
 
@@ -317,6 +329,7 @@ class StepStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     waits_for: Annotated[tuple[str, ...], Meta(max_length=64)] = ()  # conditions that do not hold yet, for people
     confirm: str = ""  # what an operator is to confirm now; empty: nothing
     reason: str = ""  # why it failed or is paused
+    places: Annotated[tuple[StepPlace, ...], Meta(max_length=16)] = ()  # on the map, as far as its parameters name some
 
 
 class TrackStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -326,7 +339,7 @@ class TrackStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     steps: Annotated[tuple[StepStatus, ...], Meta(max_length=256)]
 
 
-class MissionStatus(Message, frozen=True, kw_only=True):
+class MissionStatus(Message, frozen=True, kw_only=True, tag="MissionStatus/2"):
     """A mission as it is now: on change, and each second until some time after its end."""
 
     mission: str

@@ -57,6 +57,7 @@ of ``index.html`` and a line in ``main.js``:
                   ``refusals.js``: when a refusal's cause is gone; ``words.js``: titles, and states in words for people
 ``places.js``     places on the map: their list, keeping one, drawing; ``saved.js``: requests kept under a name
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
+``routes.js``     the missions on the map: places of their steps, numbered and joined
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
 ``summary.js``    the fleet in words
 ``experiments.js``  the panel of experiments; ``experiments.css``: its looks

@@ -227,6 +227,13 @@ export interface Stop {
   done: boolean;
 }
 
+/** A place on the map that a step names: of an area two opposite corners or all, of a formation a target per robot. */
+export interface StepPlace {
+  parameter: string;
+  kind: "point" | "points" | "area" | "formation";
+  points: Point[];
+}
+
 export interface Step {
   name: string;
   behaviour: string;
@@ -236,6 +243,7 @@ export interface Step {
   waits_for: string[];
   confirm: string;
   reason: string;
+  places?: StepPlace[]; // none in the past of an older version
 }
 
 export interface Mission {
