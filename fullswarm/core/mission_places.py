@@ -28,7 +28,7 @@ def places_of(record: Record, parameters: Mapping[str, Value], robots: Sequence[
     """
     if record.formation and robots and (targets := _targets(record, parameters, robots)):
         return (StepPlace(parameter=TARGETS, kind="formation", points=targets),)
-    found = []
+    found: list[StepPlace] = []
     for name, parameter in record.parameters.items():
         value = parameters.get(name, parameter.default)
         if parameter.unit != METRES or not isinstance(value, list | tuple):
@@ -36,8 +36,13 @@ def places_of(record: Record, parameters: Mapping[str, Value], robots: Sequence[
         points = _points([value] if parameter.type == "point" else value if parameter.type == "points" else ())
         if points:
             area = parameter.type == "points" and parameter.default_from == BOUNDS
-            kind = "point" if parameter.type == "point" else "area" if area else "points"
-            found.append(StepPlace(parameter=name, kind=kind, points=points))
+            found.append(
+                StepPlace(
+                    parameter=name,
+                    kind="area" if area else "point" if parameter.type == "point" else "points",
+                    points=points,
+                )
+            )
     return tuple(found)
 
 

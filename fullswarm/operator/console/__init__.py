@@ -61,7 +61,8 @@ of ``index.html`` and a line in ``main.js``:
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
 ``summary.js``    the fleet in words
 ``experiments.js``  the panel of experiments; ``experiments.css``: its looks
-``camera.js``     the pictures of the cameras
+``camera.js``     the pictures of the cameras; ``floorpicture.js``: one of them under the map, to scale;
+                  ``floorworker.js``, ``floorwarp.js``: lay it on the floor
 ``people.js``      the operators on this console, and hand-over; ``people.css``: looks of it, of guide and log filter
 ``guide.js``       the guide for the first minute; ``tips.js``: tooltips
 ``logfilter.js``   which lines of the log are shown

@@ -105,7 +105,7 @@ new Signals(present, banners);
 const routes = new Routes({ store, map });
 map.routes = routes;
 new Missions({ store, commands, routes });
-new CameraView({ store: present, link });
+new CameraView({ store: present, link, map, past });
 new Experiments({ store: present, link });
 new Study({ store: present, link, selection, map, tools });
 const timeBar = new TimeBar({ past, present, commands });
@@ -207,6 +207,7 @@ window.fullswarm = Object.freeze({
       ruler: tools.ruler && rulerWords(tools.ruler.from, tools.ruler.to),
       labels: map.robots.labels.filter(({ shown }) => shown).map(({ key, words, left, top, width, height }) => ({ key, words, left, top, width, height })),
       operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), log: store.log.length,
+      routes: routes.seen(), picture: map.picture?.seen(),
       time: { live: past.live, at_s: past.live ? map.drawn_s : past.at_s, from_s: past.from_s, to_s: past.to_s, ready: past.ready, playing: past.playing },
     };
   },

@@ -30,6 +30,7 @@ export class SwarmMap {
     this.stats = new Stats();
     this.options = { coverage: true, trails: true };
     this.underlay = /** @type {import("./underlay.js").Underlay | null} */ (null);
+    this.picture = /** @type {import("./floorpicture.js").FloorPicture | null} */ (null);
     this.routes = /** @type {import("./routes.js").Routes | null} */ (null);
     this.tool = /** @type {import("./tools.js").Tools | null} */ (null);
     this.hovered = /** @type {string | null} */ (null);
@@ -144,7 +145,7 @@ export class SwarmMap {
       colours: MAP_COLOURS[this.theme.dark ? "dark" : "light"],
     };
     if (this.#floorStale) {
-      drawFloor({ ...scene, context: this.#floor }, { ...this.options, underlay: this.underlay });
+      drawFloor({ ...scene, context: this.#floor }, { ...this.options, underlay: this.underlay, picture: this.picture });
       this.#floorStale = false;
       this.#groundStale = true;
     }

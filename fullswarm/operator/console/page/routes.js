@@ -126,7 +126,14 @@ export class Routes {
     this.labels.push({ mark: asPlaced(mark), words: level === "all" || matters ? words : "", matters });
   }
 
-  /** @param {Mark} mark */
+  /** For tests: a copy of what is drawn. */
+  seen() {
+    return this.marks.map(({ mission, track, steps, at, phase, x, y }) => ({
+      mission, track, numbers: steps.map(({ number }) => number), at: [...at], phase, x, y, pointed: this.#isPointed({ mission, track, steps }),
+    }));
+  }
+
+  /** @param {Pick<Mark, "mission" | "track" | "steps">} mark */
   #isPointed({ mission, track, steps }) {
     const pointed = this.#pointed;
     return pointed !== null && mission === pointed.mission && track === pointed.track && steps.some(({ step }) => step.name === pointed.step);

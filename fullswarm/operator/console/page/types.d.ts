@@ -285,6 +285,22 @@ export interface Camera {
   problem: string;
 }
 
+/** Where a picture lies on the floor: a grid of its points, row by row from the upper left. */
+export interface FloorMesh {
+  columns: number; // of cells: there is one point more
+  rows: number;
+  places: (Point | null)[];
+  eye_m: [x_m: number, y_m: number, z_m: number]; // of the camera
+  tops_m: number; // height of the robots' tags
+}
+
+export interface Picture {
+  t: "picture";
+  camera: string;
+  jpeg: string;
+  mesh: FloorMesh | null; // null: it is not known where the camera is
+}
+
 export interface StudyProbe {
   id: string;
   question: string;
@@ -536,7 +552,7 @@ export type Message =
   | Study
   | UnderlayFrame
   | { t: "cameras"; cameras: Camera[] }
-  | { t: "picture"; camera: string; jpeg: string }
+  | Picture
   | TimelineFrame
   | History
   | { t: "events"; events: TimeEvent[] }
