@@ -137,12 +137,12 @@ def missions(console: Console) -> Iterator[None]:
     steps = [
         {
             "name": name, "behaviour": "flocking_bc", "phase": phase, "robots": ["r1", "r2"], "elapsed_s": 12.0,
-            "waits_for": waits, "confirm": confirm, "reason": "",
+            "waits_for": waits, "confirm": confirm, "reason": "", "places": places,
         }
-        for name, phase, waits, confirm in (
-            ("roam", "done", [], ""),
-            ("ask", "running", [], "Is the hall clear?"),
-            ("meet", "waiting", ["after: west/ask"], ""),
+        for name, phase, waits, confirm, places in (
+            ("roam", "done", [], "", [{"parameter": "goal", "kind": "point", "points": [[2, 8]]}]),
+            ("ask", "running", [], "Is the hall clear?", []),
+            ("meet", "waiting", ["after: west/ask"], "", [{"parameter": "goal", "kind": "point", "points": [[7, 4]]}]),
         )
     ]  # fmt: skip
     tour = {"mission": "m1", "name": "tour", "phase": "running", "operator": "berta", "reason": "", "silent": False,

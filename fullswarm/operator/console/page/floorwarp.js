@@ -2,10 +2,10 @@
 
 /** @import { FloorMesh, Point } from "./types.d.ts" */
 
-const MOST_PIXELS = 700_000; // of the picture as it is drawn
+const MOST_PIXELS = 500_000; // of the picture as it is drawn
 const LONGEST_SIDE = 4096;
 const FINEST_M = 0.0005;
-const MOST_WORK = 8_000_000; // pixels in the boxes around the triangles: about four times those drawn
+const MOST_WORK = 6_000_000; // pixels in the boxes around the triangles: about four times those drawn
 
 /**
  * @typedef {{left: number, top: number, cell_m: number, width: number, height: number, from: Int32Array}} Warp
