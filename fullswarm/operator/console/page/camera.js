@@ -19,6 +19,7 @@ export class CameraView {
     this.list = byId("camera-list");
     this.toggle.addEventListener("click", () => this.#open(this.panel.hidden));
     byId("camera-close").addEventListener("click", () => (this.#open(false), this.toggle.focus()));
+    for (const id of ["tabs", "time-more", "people", "experiments-toggle"]) byId(id).addEventListener("click", () => this.#open(false)); // its place
     store.on("cameras", (cameras) => this.#update(cameras));
     store.on("picture", ({ camera, jpeg }) => this.#show(camera, jpeg));
     // A new connection knows nothing of what was open.
@@ -34,8 +35,12 @@ export class CameraView {
 
   /** @param {boolean} open */
   #open(open) {
+    if (open === !this.panel.hidden) return;
+    const others = document.querySelectorAll(".time-panel:not([hidden], .camera-panel) [id$='-close']");
+    if (open) for (const close of others) if (close instanceof HTMLElement) close.click(); // they have the same place
     this.panel.hidden = !open;
-    setFlag(this.toggle, "aria-pressed", open);
+    setFlag(this.toggle, "aria-expanded", open);
+    if (open) byId("camera-close").focus({ preventScroll: true });
     void this.#watch();
     if (!open) for (const { image } of this.#figures.values()) image.removeAttribute("src");
   }
