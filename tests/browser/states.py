@@ -160,6 +160,21 @@ def missions(console: Console) -> Iterator[None]:
 
 
 @contextmanager
+def cameras(console: Console) -> Iterator[None]:
+    """The cameras, one with a problem, in place of a panel."""
+    problem = "the camera has moved: no fixes until it hangs still and its floor tags are visible"
+    known = [{"name": "ceiling", "problem": ""}, {"name": "door", "problem": problem}]
+    console.page.evaluate("(cameras) => fake.say({ t: 'cameras', cameras })", known)
+    console.named("camera-toggle").click()
+    console.named("camera-under").select_option("ceiling")
+    expect(console.named("camera-floor-words")).to_contain_text("Not drawn")
+    yield
+    console.named("camera-under").select_option("")
+    console.page.locator("#camera-close").click()
+    console.page.evaluate("fake.say({ t: 'cameras', cameras: [] })")
+
+
+@contextmanager
 def bookmarks(console: Console) -> Iterator[None]:
     show(console, "fleet")
     console.named("time-more").click()
@@ -303,7 +318,7 @@ def log(console: Console) -> Iterator[None]:
 
 STATES: dict[str, State] = {
     "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
-    "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts,
-    "lines": lines, "chart form": chart_form, "details": details, "log": log,
+    "question": question, "missions": missions, "cameras": cameras, "bookmarks": bookmarks, "stick": stick,
+    "charts": charts, "lines": lines, "chart form": chart_form, "details": details, "log": log,
     "experiments": experiments, "experiment": experiment, "experiment_stopped": experiment_stopped,
 }  # fmt: skip
