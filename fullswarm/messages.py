@@ -305,6 +305,18 @@ class MissionReply(Message, frozen=True, kw_only=True):
     problems: Annotated[tuple[MissionProblem, ...], Meta(max_length=MOST)] = ()
 
 
+MOST_PLACE_POINTS = 64
+"""Points of a place that are shown; a behaviour may have more."""
+
+
+class StepPlace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A place on the map that a step of a mission names; part of StepStatus. World frame."""
+
+    parameter: Label  # of the behaviour
+    kind: Literal["point", "points", "area", "formation"]  # area: opposite corners or all; formation: one per robot
+    points: Annotated[tuple[tuple[Metres, Metres], ...], Meta(max_length=MOST_PLACE_POINTS)]
+
+
 class StepStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One step of a mission as it is now; part of TrackStatus."""
 
@@ -317,6 +329,7 @@ class StepStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     waits_for: Annotated[tuple[str, ...], Meta(max_length=64)] = ()  # conditions that do not hold yet, for people
     confirm: str = ""  # what an operator is to confirm now; empty: nothing
     reason: str = ""  # why it failed or is paused
+    places: Annotated[tuple[StepPlace, ...], Meta(max_length=16)] = ()  # on the map, as far as its parameters name some
 
 
 class TrackStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -326,7 +339,7 @@ class TrackStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     steps: Annotated[tuple[StepStatus, ...], Meta(max_length=256)]
 
 
-class MissionStatus(Message, frozen=True, kw_only=True):
+class MissionStatus(Message, frozen=True, kw_only=True, tag="MissionStatus/2"):
     """A mission as it is now: on change, and each second until some time after its end."""
 
     mission: str
@@ -490,12 +503,32 @@ class TruePoses(Message, frozen=True, kw_only=True):
     stamp_s: Stamp
 
 
-class CameraPicture(Message, frozen=True, kw_only=True):
+MOST_MESH = 4096
+
+
+class FloorMesh(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where a picture lies on the floor: a grid of its points, row by row from the upper left; part of CameraPicture.
+
+    World frame; `x_m` and `y_m` are null for a point that is not on the floor, or too far away.
+    """
+
+    columns: Annotated[int, Meta(ge=1, le=256)]  # of cells: there is one point more
+    rows: Annotated[int, Meta(ge=1, le=256)]
+    x_m: Annotated[tuple[Metres | None, ...], Meta(max_length=MOST_MESH)]
+    y_m: Annotated[tuple[Metres | None, ...], Meta(max_length=MOST_MESH)]
+    eye_m: tuple[
+        Metres, Metres, Annotated[float, Meta(gt=0.0, le=1e4)]
+    ]  # the camera, to draw on a plane above the floor
+    tops_m: HalfSize  # height of the robots' tags
+
+
+class CameraPicture(Message, frozen=True, kw_only=True, tag="CameraPicture/2"):
     """What a camera sees, small, with what it has found drawn in; twice a second, for people."""
 
     camera: ShortText
     jpeg: Annotated[bytes, Meta(max_length=500_000)]
     problem: Text = ""
+    mesh: FloorMesh | None = None  # null: it is not known where the camera is
     stamp_s: Stamp = 0.0
 
 
@@ -1107,6 +1140,9 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
     Reception: lambda m: len(m.robots) == len(m.x_m) == len(m.y_m),
     TruePoses: lambda m: (
         len(m.robots) == len(m.x_m) == len(m.y_m) == len(m.heading_rad) == len(m.speed_m_s) == len(m.turn_rad_s)
+    ),
+    CameraPicture: lambda m: (
+        m.mesh is None or len(m.mesh.x_m) == len(m.mesh.y_m) == (m.mesh.columns + 1) * (m.mesh.rows + 1)
     ),
     FixSourceReport: lambda m: len(m.robots) == len(m.markers) == len(m.unseen_s),
     Interventions: lambda m: len(m.robots) == len(m.x_m_s) == len(m.y_m_s) == len(m.reasons),

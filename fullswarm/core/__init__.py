@@ -18,6 +18,7 @@ In: ``BehaviourRequest``, ``MissionRequest`` and ``StopRequest`` of the operator
 ``missions.py``        runs missions: steps of requests with conditions, kept over restarts
 ``mission_state.py``   a mission's state machine, and what a step waits for; pure
 ``mission_facts.py``   where robots are and what metrics say, while a mission needs it
+``mission_places.py``  which places on the map a step names; pure
 ``charging.py``        sends robots to docks and back, by their reports
 ``charge_plan.py``     which robots must go now, so that docks are not short later; pure
 ``energy.py``          what a robot draws, and how fast a dock charges it: learnt from its reports

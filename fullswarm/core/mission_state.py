@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -21,6 +22,7 @@ from fullswarm.messages import (
     MissionStep,
     MissionTrack,
     StepPhase,
+    StepPlace,
     StepStatus,
     TrackStatus,
 )
@@ -185,8 +187,16 @@ class Mission:
             each.state.change("pause")
         return True
 
-    def status(self, waits: Mapping[str, Sequence[str]]) -> MissionStatus:
-        """Return the mission as it is sent; `waits`: track/step → conditions that do not hold yet."""
+    def status(
+        self, waits: Mapping[str, Sequence[str]], places: Mapping[str, tuple[StepPlace, ...]] = MappingProxyType({})
+    ) -> MissionStatus:
+        """Return the mission as it is sent.
+
+        Parameters
+        ----------
+        waits : track/step → conditions that do not hold yet
+        places : track/step → where it is on the map
+        """
         found: dict[str, list[StepStatus]] = {track.name: [] for track in self.plan.tracks}
         for each in self.steps():
             step, state = each.step, each.state
@@ -202,6 +212,7 @@ class Mission:
                     waits_for=tuple(waits.get(each.path, ())),
                     confirm=step.done.confirm if asked else "",
                     reason=state.reason,
+                    places=places.get(each.path, ()),
                 )
             )
         return MissionStatus(

@@ -11,6 +11,7 @@ itself, and never releases an e-stop; a stop or an e-stop of any of its robots p
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable
 
@@ -22,6 +23,7 @@ from fullswarm.config.mission_file import plan_problems
 from fullswarm.core.leases import Authority
 from fullswarm.core.main_controller import UNNAMED, Halted, MainController
 from fullswarm.core.mission_facts import MissionFacts
+from fullswarm.core.mission_places import places_of
 from fullswarm.core.mission_state import Mission, MissionState, Running, comparison, open_conditions
 from fullswarm.core.request_handler import RequestHandler
 from fullswarm.core.request_order import RequestOrder
@@ -38,6 +40,7 @@ from fullswarm.messages import (
     MissionRequest,
     MissionStatus,
     MissionStep,
+    StepPlace,
 )
 from fullswarm.perf.metrics import METRICS, SHAPE, SHAPE_DOC
 from fullswarm.reasons import Code
@@ -53,6 +56,8 @@ SHOWN_S = 30.0
 """The status of a mission that has ended is repeated for so long."""
 LOST_S = 5.0
 """A robot that is absent for longer than this fails the step that needs it. It includes the restart of an agent."""
+MOST_PLACES = 16
+"""Of a step that are sent."""
 MOST = 16
 """Missions that are remembered; a new one replaces the oldest that has ended."""
 STATE, PLAN = "mission/", "mission-plan/"
@@ -98,6 +103,8 @@ class Missions:
         self._roster, self._authority, self._request_order = roster, authority, request_order
         self._process, self._sequence = process, 0
         self._facts = MissionFacts(bus, keys, scheduler, controller.library, roster)
+        # Places of steps, with the robots that they were found for: statuses are made ten times a second.
+        self._places: dict[str, dict[str, tuple[tuple[str, ...], tuple[StepPlace, ...]]]] = {}
         self._missions: dict[str, Mission] = {}
         self._slots: dict[str, int] = {}  # keys of the database, used again and again
         self._published: dict[str, tuple[float, MissionStatus]] = {}
@@ -501,6 +508,7 @@ class Missions:
         del self._missions[oldest]
         self._published.pop(oldest, None)
         self._started_s.pop(oldest, None)
+        self._places.pop(oldest, None)
         return self._slots.pop(oldest)
 
     def _restore(self) -> None:
@@ -534,7 +542,26 @@ class Missions:
         for each in mission.current():
             if each.state.phase == "waiting" and each.step.after:
                 waits[each.path] = [f"after: {', '.join(each.step.after)}"]
-        return mission.status(waits)
+        return mission.status(waits, {each.path: self._places_of(mission, each) for each in mission.steps()})
+
+    def _places_of(self, mission: Mission, each: Running) -> tuple[StepPlace, ...]:
+        """Return where a step is on the map; found again when its robots are known."""
+        kept = self._places.setdefault(mission.state.mission, {})
+        step, robots = each.step, each.state.robots
+        if each.path not in kept or kept[each.path][0] != robots:
+            found: tuple[StepPlace, ...] = ()
+            with contextlib.suppress(RequestRefused):  # a behaviour that there is no more has no place
+                record = self._controller.library.get(step.behaviour) if step.behaviour else None
+                found = () if record is None else places_of(record, step.parameters, robots or self._meant(step))
+            kept[each.path] = robots, found[:MOST_PLACES]
+        return kept[each.path][1]
+
+    def _meant(self, step: MissionStep) -> tuple[str, ...]:
+        """Return the robots that a step names; none if they are not known yet."""
+        try:
+            return self._controller.addressed(step.robots)
+        except RequestRefused:
+            return ()
 
     def _published_s(self, key: str) -> float:
         return self._published[key][0] if key in self._published else -math.inf

@@ -137,12 +137,12 @@ def missions(console: Console) -> Iterator[None]:
     steps = [
         {
             "name": name, "behaviour": "flocking_bc", "phase": phase, "robots": ["r1", "r2"], "elapsed_s": 12.0,
-            "waits_for": waits, "confirm": confirm, "reason": "",
+            "waits_for": waits, "confirm": confirm, "reason": "", "places": places,
         }
-        for name, phase, waits, confirm in (
-            ("roam", "done", [], ""),
-            ("ask", "running", [], "Is the hall clear?"),
-            ("meet", "waiting", ["after: west/ask"], ""),
+        for name, phase, waits, confirm, places in (
+            ("roam", "done", [], "", [{"parameter": "goal", "kind": "point", "points": [[2, 8]]}]),
+            ("ask", "running", [], "Is the hall clear?", []),
+            ("meet", "waiting", ["after: west/ask"], "", [{"parameter": "goal", "kind": "point", "points": [[7, 4]]}]),
         )
     ]  # fmt: skip
     tour = {"mission": "m1", "name": "tour", "phase": "running", "operator": "berta", "reason": "", "silent": False,
@@ -157,6 +157,21 @@ def missions(console: Console) -> Iterator[None]:
     change(console, missions=[])
     if toggle.is_visible():
         toggle.click()
+
+
+@contextmanager
+def cameras(console: Console) -> Iterator[None]:
+    """The cameras, one with a problem, in place of a panel."""
+    problem = "the camera has moved: no fixes until it hangs still and its floor tags are visible"
+    known = [{"name": "ceiling", "problem": ""}, {"name": "door", "problem": problem}]
+    console.page.evaluate("(cameras) => fake.say({ t: 'cameras', cameras })", known)
+    console.named("camera-toggle").click()
+    console.named("camera-under").select_option("ceiling")
+    expect(console.named("camera-floor-words")).to_contain_text("Not drawn")
+    yield
+    console.named("camera-under").select_option("")
+    console.page.locator("#camera-close").click()
+    console.page.evaluate("fake.say({ t: 'cameras', cameras: [] })")
 
 
 @contextmanager
@@ -304,7 +319,7 @@ def log(console: Console) -> Iterator[None]:
 
 STATES: dict[str, State] = {
     "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
-    "question": question, "missions": missions, "bookmarks": bookmarks, "stick": stick, "charts": charts,
-    "lines": lines, "chart form": chart_form, "details": details, "log": log,
+    "question": question, "missions": missions, "cameras": cameras, "bookmarks": bookmarks, "stick": stick,
+    "charts": charts, "lines": lines, "chart form": chart_form, "details": details, "log": log,
     "experiments": experiments, "experiment": experiment, "experiment_stopped": experiment_stopped,
 }  # fmt: skip

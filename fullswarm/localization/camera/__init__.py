@@ -10,6 +10,7 @@
 ``sources.py``         devices, streams, videos, folders of pictures
 ``node.py``            one camera in a swarm
 ``overlay.py``         draws what was found
+``floor_mesh.py``      where the picture lies on the floor
 ``preview.py``         the live picture over HTTP
 ``board.py``           the calibration board
 ``calibrate.py``       lens and place of a camera

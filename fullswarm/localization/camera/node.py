@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from statistics import median
 
 import structlog
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
 from fullswarm.localization.camera.camera_file import CameraFile
+from fullswarm.localization.camera.floor_mesh import floor_mesh
+from fullswarm.localization.camera.optics import Optics
 from fullswarm.localization.camera.overlay import drawn, jpeg
 from fullswarm.localization.camera.plan import TagPlan
 from fullswarm.localization.camera.preview import Preview
@@ -17,7 +20,7 @@ from fullswarm.localization.camera.sources import Shot
 from fullswarm.localization.camera.tracker import Outcome, TagPose, Tracker
 from fullswarm.localization.publisher import FixPublisher
 from fullswarm.localization.sighting import Sighting
-from fullswarm.messages import CameraPicture
+from fullswarm.messages import CameraPicture, FloorMesh
 from fullswarm.runtime import Scheduler
 
 log = structlog.get_logger()
@@ -88,6 +91,8 @@ class CameraNode:
         self._sample = b""
         self._note = ""
         self._strange: set[int] = set()
+        self._mesh: tuple[Optics, FloorMesh] | None = None  # of the camera where it is now
+        self._tops_m = median([each.height_m for each in plan.robots.values()] or [0.0])
         self.looked = 0
         for tag, each in plan.robots.items():
             publisher.expect(each.robot, f"tag {tag}")
@@ -147,8 +152,17 @@ class CameraNode:
             preview.show(picture)
         if for_bus and picture:
             self._pictured_s = now_s
-            message = CameraPicture(camera=self._name[:64], jpeg=picture, problem=problem, stamp_s=now_s)
+            mesh = self._placed(tracker.mount.optics) if outcome.confirmed and not problem else None
+            message = CameraPicture(
+                camera=self._name[:64], jpeg=picture, problem=problem, mesh=mesh, stamp_s=now_s
+            )  # fmt: skip
             self._bus.publish(self._keys.camera(self._name), message)
+
+    def _placed(self, optics: Optics) -> FloorMesh:
+        """Return where the picture lies; a camera that hangs still has it made once."""
+        if self._mesh is None or self._mesh[0] is not optics:
+            self._mesh = optics, floor_mesh(optics, self._tops_m)
+        return self._mesh[1]
 
     def close(self) -> None:
         """Stop."""

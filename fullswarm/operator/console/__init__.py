@@ -57,10 +57,12 @@ of ``index.html`` and a line in ``main.js``:
                   ``refusals.js``: when a refusal's cause is gone; ``words.js``: titles, and states in words for people
 ``places.js``     places on the map: their list, keeping one, drawing; ``saved.js``: requests kept under a name
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
+``routes.js``     the missions on the map: places of their steps, numbered and joined
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
 ``summary.js``    the fleet in words
 ``experiments.js``  the panel of experiments; ``experiments.css``: its looks
-``camera.js``     the pictures of the cameras
+``camera.js``     the pictures of the cameras; ``floorpicture.js``: one of them under the map, to scale;
+                  ``floorworker.js``, ``floorwarp.js``: lay it on the floor
 ``people.js``      the operators on this console, and hand-over; ``people.css``: looks of it, of guide and log filter
 ``guide.js``       the guide for the first minute; ``tips.js``: tooltips
 ``logfilter.js``   which lines of the log are shown

@@ -9,7 +9,7 @@ import base64
 import math
 from typing import Any
 
-from fullswarm.messages import CameraPicture
+from fullswarm.messages import CameraPicture, FloorMesh
 
 SILENT_S = 3.0
 """A camera whose last picture is older gives none."""
@@ -35,7 +35,8 @@ class Cameras:
             return None
         self.changed |= before is None or before[1] != message.problem
         self._known[message.camera] = now_s, message.problem
-        return {"t": "picture", "camera": message.camera, "jpeg": base64.b64encode(message.jpeg).decode("ascii")}
+        jpeg = base64.b64encode(message.jpeg).decode("ascii")
+        return {"t": "picture", "camera": message.camera, "jpeg": jpeg, "mesh": _shown(message.mesh)}
 
     def expire(self, now_s: float) -> None:
         """Note cameras that give no picture any more."""
@@ -48,3 +49,17 @@ class Cameras:
         """Return the frame with all cameras."""
         cameras = [{"name": name, "problem": problem} for name, (_, problem) in sorted(self._known.items())]
         return {"t": "cameras", "cameras": cameras}
+
+
+def _shown(mesh: FloorMesh | None) -> dict[str, Any] | None:
+    """Return a grid as pages get it, in whole tenths of a millimetre: many digits are most of a frame."""
+    if mesh is None:
+        return None
+    places = (
+        None if x_m is None or y_m is None else [round(x_m, 4), round(y_m, 4)]
+        for x_m, y_m in zip(mesh.x_m, mesh.y_m, strict=True)
+    )
+    return {
+        "columns": mesh.columns, "rows": mesh.rows, "places": list(places), "eye_m": list(mesh.eye_m),
+        "tops_m": mesh.tops_m,
+    }  # fmt: skip

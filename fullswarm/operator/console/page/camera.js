@@ -1,36 +1,55 @@
-/** The cameras that see the robots: their pictures, with what they have found drawn in. Sent only while it is open. */
+/** The cameras that see the robots: their pictures, with what they have found drawn in. Sent only to pages that show one. */
 
 import { byId, make, setFlag, setText } from "./dom.js";
+import { FloorPicture } from "./floorpicture.js";
 
 /** @import { Camera } from "./types.d.ts" */
 
 export class CameraView {
-  /** @param {{store: import("./store.js").Store, link: import("./link.js").Link}} parts */
-  constructor({ store, link }) {
+  /**
+   * @param {{store: import("./store.js").Store, link: import("./link.js").Link, map: import("./map.js").SwarmMap,
+   *   past: import("./past.js").Past}} parts
+   */
+  constructor({ store, link, map, past }) {
     this.link = link;
+    this.floor = new FloorPicture({ store, map, past, onChange: () => void this.#watch() });
+    map.picture = this.floor;
     this.toggle = byId("camera-toggle");
     this.panel = byId("camera-panel");
     this.list = byId("camera-list");
     this.toggle.addEventListener("click", () => this.#open(this.panel.hidden));
     byId("camera-close").addEventListener("click", () => (this.#open(false), this.toggle.focus()));
+    for (const id of ["tabs", "time-more", "people", "experiments-toggle"]) byId(id).addEventListener("click", () => this.#open(false)); // its place
     store.on("cameras", (cameras) => this.#update(cameras));
     store.on("picture", ({ camera, jpeg }) => this.#show(camera, jpeg));
     // A new connection knows nothing of what was open.
-    store.on("hello", () => !this.panel.hidden && this.#watch(true));
+    store.on("hello", () => {
+      this.#watching = false;
+      void this.#watch();
+    });
   }
 
   #figures = /** @type {Map<string, {element: HTMLElement, image: HTMLImageElement, words: HTMLElement}>} */ (new Map());
 
+  #watching = false;
+
   /** @param {boolean} open */
   #open(open) {
+    if (open === !this.panel.hidden) return;
+    const others = document.querySelectorAll(".time-panel:not([hidden], .camera-panel) [id$='-close']");
+    if (open) for (const close of others) if (close instanceof HTMLElement) close.click(); // they have the same place
     this.panel.hidden = !open;
-    setFlag(this.toggle, "aria-pressed", open);
-    this.#watch(open);
+    setFlag(this.toggle, "aria-expanded", open);
+    if (open) byId("camera-close").focus({ preventScroll: true });
+    void this.#watch();
     if (!open) for (const { image } of this.#figures.values()) image.removeAttribute("src");
   }
 
-  /** @param {boolean} on */
-  async #watch(on) {
+  /** Have the console send pictures as long as they are shown, here or under the map. */
+  async #watch() {
+    const on = !this.panel.hidden || this.floor.camera !== "";
+    if (on === this.#watching) return;
+    this.#watching = on;
     const answer = await this.link.ask({ t: "watch", on });
     setText(byId("camera-refusal"), on && !answer.ok ? answer.reason ?? "" : "");
   }

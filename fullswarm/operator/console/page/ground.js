@@ -4,6 +4,7 @@ import { context2d } from "./dom.js";
 import { drawPlaces } from "./places.js";
 import { scaleBar } from "./viewport.js";
 
+/** @import { FloorPicture } from "./floorpicture.js" */
 /** @import { Colours } from "./palette.js" */
 /** @import { Box, Coverage } from "./types.d.ts" */
 /** @import { Underlay } from "./underlay.js" */
@@ -18,7 +19,7 @@ const TRAIL_S = 60;
  */
 
 /** Draw floor, grid, boxes and seen obstacles; this picture is kept until the view or the world changes. */
-export function drawFloor(/** @type {Scene} */ scene, /** @type {{coverage: boolean, underlay: Underlay | null}} */ options) {
+export function drawFloor(/** @type {Scene} */ scene, /** @type {{coverage: boolean, underlay: Underlay | null, picture: FloorPicture | null}} */ options) {
   const { context, view, dpr, colours, store } = scene;
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.fillStyle = colours.outside;
@@ -30,6 +31,7 @@ export function drawFloor(/** @type {Scene} */ scene, /** @type {{coverage: bool
     context.fillRect(arena[0], arena[1], arena[2] - arena[0], arena[3] - arena[1]);
   }
   options.underlay?.draw(context, view, arena);
+  options.picture?.draw(context);
   if (arena) {
     if (options.coverage && store.coverage) drawCoverage(context, store.coverage, colours);
     drawGrid(context, view, arena, colours);

@@ -11,7 +11,7 @@
  *           study.js (the dialogs of a study); words.js (words for people), summary.js (the fleet in words, spoken),
  *           layout.js (tabs, menus), logfilter.js (which lines of the log), people.js (operators, hand-over), guide.js (the first
  *           minute), tips.js (tooltips), experiments.js (in place of a panel)
- * map       map.js (the loop), underlay.js, ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js,
+ * map       map.js (the loop), routes.js (missions), underlay.js, ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js,
  *           pointer.js, toolbar.js, viewport.js, geometry.js, palette.js, theme.js
  * time      past.js (plays the past into the store that is shown), timeline.js (the bar below the map),
  *           marks.js (bookmarks, clips)
@@ -44,6 +44,7 @@ import { Past } from "./past.js";
 import { Places } from "./places.js";
 import { People } from "./people.js";
 import { Pointer } from "./pointer.js";
+import { Routes } from "./routes.js";
 import { SavedRequests } from "./saved.js";
 import { Selection } from "./selection.js";
 import { Signals } from "./signals.js";
@@ -101,8 +102,10 @@ detail.on("chart", (choice) => charts.show(choice));
 new LogView(store, selection);
 new Summary(store);
 new Signals(present, banners);
-new Missions({ store, commands });
-new CameraView({ store: present, link });
+const routes = new Routes({ store, map });
+map.routes = routes;
+new Missions({ store, commands, routes });
+new CameraView({ store: present, link, map, past });
 new Experiments({ store: present, link });
 new Study({ store: present, link, selection, map, tools });
 const timeBar = new TimeBar({ past, present, commands });
@@ -204,6 +207,7 @@ window.fullswarm = Object.freeze({
       ruler: tools.ruler && rulerWords(tools.ruler.from, tools.ruler.to),
       labels: map.robots.labels.filter(({ shown }) => shown).map(({ key, words, left, top, width, height }) => ({ key, words, left, top, width, height })),
       operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), log: store.log.length,
+      routes: routes.seen(), picture: map.picture?.seen(),
       time: { live: past.live, at_s: past.live ? map.drawn_s : past.at_s, from_s: past.from_s, to_s: past.to_s, ready: past.ready, playing: past.playing },
     };
   },

@@ -30,6 +30,8 @@ export class SwarmMap {
     this.stats = new Stats();
     this.options = { coverage: true, trails: true };
     this.underlay = /** @type {import("./underlay.js").Underlay | null} */ (null);
+    this.picture = /** @type {import("./floorpicture.js").FloorPicture | null} */ (null);
+    this.routes = /** @type {import("./routes.js").Routes | null} */ (null);
     this.tool = /** @type {import("./tools.js").Tools | null} */ (null);
     this.hovered = /** @type {string | null} */ (null);
     this.old = false; // data is old: veiled
@@ -143,7 +145,7 @@ export class SwarmMap {
       colours: MAP_COLOURS[this.theme.dark ? "dark" : "light"],
     };
     if (this.#floorStale) {
-      drawFloor({ ...scene, context: this.#floor }, { ...this.options, underlay: this.underlay });
+      drawFloor({ ...scene, context: this.#floor }, { ...this.options, underlay: this.underlay, picture: this.picture });
       this.#floorStale = false;
       this.#groundStale = true;
     }
@@ -170,8 +172,9 @@ export class SwarmMap {
     context.clearRect(0, 0, this.view.width, this.view.height);
     this.drawn_s = this.store.clock.drawn(performance.now() / 1000);
     this.robots.place(this.store, this.view, this.drawn_s);
+    this.routes?.draw(scene, this.placed);
     drawGoals(scene, this.placed);
-    this.robots.draw(scene, this.selection, this.hovered);
+    this.robots.draw(scene, this.selection, this.hovered, this.routes?.labels ?? []);
     if (this.old) {
       context.fillStyle = colours.dim;
       context.fillRect(0, 0, this.view.width, this.view.height);

@@ -2,6 +2,7 @@
 
 import { byId, make, setFlag, setText } from "./dom.js";
 
+/** @import { Pointed, Routes } from "./routes.js" */
 /** @import { Mission, Step } from "./types.d.ts" */
 
 const SIGNS = /** @type {Record<string, string>} */ ({
@@ -10,9 +11,11 @@ const SIGNS = /** @type {Record<string, string>} */ ({
 const ENDED = ["done", "failed", "aborted"];
 
 export class Missions {
-  /** @param {{store: import("./store.js").Store, commands: import("./commands.js").Commands}} parts */
-  constructor({ store, commands }) {
+  /** @param {{store: import("./store.js").Store, commands: import("./commands.js").Commands, routes: Routes}} parts */
+  constructor({ store, commands, routes }) {
     this.commands = commands;
+    this.routes = routes;
+    routes.onPoint = (pointed) => this.#mark(pointed);
     this.list = byId("missions");
     this.toggle = byId("missions-toggle");
     this.toggle.addEventListener("click", () => this.#open(document.body.dataset.lower !== "missions"));
@@ -33,6 +36,14 @@ export class Missions {
     setFlag(this.toggle, "aria-pressed", open);
   }
 
+  /**
+   * Mark the step whose place on the map is pointed at.
+   * @param {Pointed | null} pointed
+   */
+  #mark(pointed) {
+    for (const [key, card] of this.#cards) card.mark(pointed?.mission === key ? pointed : null);
+  }
+
   /** @param {Mission[]} missions */
   #update(missions) {
     const keys = new Set(missions.map(({ mission }) => mission));
@@ -44,7 +55,7 @@ export class Missions {
     for (const mission of [...missions].reverse()) {
       let card = this.#cards.get(mission.mission);
       if (!card) {
-        card = new Card(mission, this.commands);
+        card = new Card(mission, this.commands, this.routes);
         this.#cards.set(mission.mission, card);
         this.list.prepend(card.element);
       }
@@ -67,8 +78,9 @@ class Card {
   /**
    * @param {Mission} mission
    * @param {import("./commands.js").Commands} commands
+   * @param {Routes} routes
    */
-  constructor(mission, commands) {
+  constructor(mission, commands, routes) {
     this.mission = mission;
     const act = (/** @type {"pause" | "resume" | "abort"} */ op) => () => commands.mission(this.mission, op);
     const button = (/** @type {string} */ text, /** @type {string} */ name, /** @type {() => void} */ click) =>
@@ -83,15 +95,17 @@ class Card {
       button("Abort", "abort-sure", () => (this.#ask(false), commands.mission(this.mission, "abort"))),
       button("No", "abort-no", () => this.#ask(false)),
     );
-    this.steps = mission.tracks.map((track) => track.steps.map((step) => new StepRow(step, () => {
-      commands.mission(this.mission, "confirm", { track: track.name, step: step.name });
+    this.show = button("On the map", "show", () => routes.show(this.mission));
+    this.steps = mission.tracks.map((track) => track.steps.map((step, index) => new StepRow(step, index + 1, {
+      confirm: () => commands.mission(this.mission, "confirm", { track: track.name, step: step.name }),
+      point: (on) => routes.point(on ? { mission: this.mission.mission, track: track.name, step: step.name } : null),
     })));
     this.element = make(
       "article", { class: "mission", testid: `mission-${mission.name}`, "aria-label": `Mission ${mission.name}` },
       make(
         "div", { class: "mission-head" },
         make("h3", { text: mission.name }), this.phase,
-        make("div", { class: "mission-acts" }, this.pause, this.resume, this.abort, this.sure),
+        make("div", { class: "mission-acts" }, this.show, this.pause, this.resume, this.abort, this.sure),
       ),
       this.reason,
       make("div", { class: "mission-tracks" }, ...mission.tracks.map((track, index) => make(
@@ -108,9 +122,17 @@ class Card {
     this.abort.hidden = asking;
   }
 
+  /** @param {Pointed | null} pointed */
+  mark(pointed) {
+    this.mission.tracks.forEach(({ name }, track) => this.steps[track].forEach((row) => {
+      row.mark(name === pointed?.track && row.name === pointed.step);
+    }));
+  }
+
   /** @param {Mission} mission */
   update(mission) {
     this.mission = mission;
+    this.show.hidden = !mission.tracks.some(({ steps }) => steps.some(({ places }) => places?.length));
     setFlag(this.element, "data-phase", mission.phase);
     setText(this.phase, words(mission));
     setText(this.reason, mission.silent ? "The core has not reported it for some seconds." : mission.reason);
@@ -127,9 +149,11 @@ class Card {
 class StepRow {
   /**
    * @param {Step} step
-   * @param {() => void} confirm
+   * @param {number} number  as on the map
+   * @param {{confirm: () => void, point: (on: boolean) => void}} acts
    */
-  constructor(step, confirm) {
+  constructor(step, number, { confirm, point }) {
+    this.name = step.name;
     this.sign = make("span", { class: "step-sign", "aria-hidden": "true" });
     this.phase = make("span", { class: "step-phase" });
     this.notes = make("span", { class: "step-notes" });
@@ -137,13 +161,22 @@ class StepRow {
     const robots = step.robots.length ? step.robots.join(", ") : "all robots";
     const what = step.behaviour ? `${step.behaviour} for ${robots}` : "no behaviour";
     this.element = make(
-      "li", { class: "step", testid: `step-${step.name}`, title: what },
-      this.sign, make("strong", { text: step.name }), this.phase, this.notes, this.confirm,
+      "li", {
+        class: "step", testid: `step-${step.name}`, title: what,
+        on: { pointerenter: () => point(true), pointerleave: () => point(false), focusin: () => point(true), focusout: () => point(false) },
+      },
+      this.sign, make("strong", { text: `${number} ${step.name}` }), this.phase, this.notes, this.confirm,
     );
+  }
+
+  /** @param {boolean} pointed  its place on the map */
+  mark(pointed) {
+    setFlag(this.element, "data-pointed", pointed);
   }
 
   /** @param {Step} step */
   update(step) {
+    if (step.places?.length) setFlag(this.element, "tabindex", 0); // the focus shows it on the map
     setFlag(this.element, "data-phase", step.phase);
     setText(this.sign, SIGNS[step.phase] ?? "·");
     const time = step.elapsed_s && step.phase !== "waiting" ? ` ${Math.round(step.elapsed_s)} s` : "";

@@ -110,7 +110,7 @@ export class Places {
 
 /**
  * Return the middle of a place.
- * @param {Place} place
+ * @param {{points: Point[]}} place
  * @returns {Point}
  */
 export function middle({ points }) {

@@ -23,7 +23,7 @@ const RING_PX = 8;
 const STOP_SIGN_PX = 6;
 
 /** Which label gets its place first. */
-const RANK = { hovered: 0, alarm: 1, selected: 2, other: 3, words: 4 };
+const RANK = { hovered: 0, alarm: 1, selected: 2, other: 3, words: 4, mark: 5 };
 
 /**
  * @typedef {{id: string, x: number, y: number, px: number, py: number, heading: number, radius: number,
@@ -100,8 +100,9 @@ export class RobotLayer {
    * @param {Scene} scene
    * @param {Selection} selection
    * @param {string | null} hovered
+   * @param {{mark: Placed, words: string, matters: boolean}[]} marks  others that have a label
    */
-  draw(scene, selection, hovered) {
+  draw(scene, selection, hovered, marks) {
     const few = selection.ids.size <= FEW;
     for (const robot of this.placed) {
       const chosen = selection.has(robot.id);
@@ -122,6 +123,10 @@ export class RobotLayer {
       const chosen = selection.has(robot.id);
       this.#bodies(robot, chosen && few);
       this.#wanted(scene, robot, chosen, few, robot.id === hovered);
+    }
+    for (const { mark, words, matters } of marks) {
+      this.#bodies(mark, false);
+      if (words && this.labels.length < MOST_LABELS) this.#text(scene, mark, "", words, matters ? RANK.selected : RANK.mark, 13, scene.colours.ink, matters);
     }
     this.#layout.place(this.labels, this.#discs, this.#discCount, scene.view);
     for (const label of this.labels) if (label.shown) drawText(scene, label);

@@ -6,7 +6,7 @@ import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
 /** @import { HandOverFrame, OffersFrame, PresenceFrame } from "./types.d.ts" */
-/** @import { Behaviour, Bookmark, Box, Camera, Catalogue, ClipFrame, Coverage, Detail, Dock, Entry, Estop, ExperimentList, ExperimentsFrame, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Place, Point, RequestStatus, Robot, Rows, SavedRequest, Series, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
+/** @import { Behaviour, Bookmark, Box, Camera, Catalogue, ClipFrame, Coverage, Detail, Dock, Entry, Estop, ExperimentList, ExperimentsFrame, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Picture, Place, Point, RequestStatus, Robot, Rows, SavedRequest, Series, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
 
 const COUNTED = new Intl.Collator("en", { numeric: true }); // ten times as fast as localeCompare
 const LOG_KEPT = 500;
@@ -21,7 +21,7 @@ const LOG_KEPT = 500;
  *   goals: Store["goals"], docks: Dock[], coverage: Coverage | null, obstacles: number[][], log: Entry | null,
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
  *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study,
- *   underlay: UnderlayFrame, cameras: Camera[], picture: {t: "picture", camera: string, jpeg: string},
+ *   underlay: UnderlayFrame, cameras: Camera[], picture: Picture,
  *   undo: UndoFrame, detail: Detail, timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
  *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame,
  *   experiments: ExperimentsFrame, experiment_list: ExperimentList, catalogue: Catalogue, series: Series, rows: Rows, presence: PresenceFrame, offers: OffersFrame, handover: HandOverFrame}>}

@@ -227,6 +227,13 @@ export interface Stop {
   done: boolean;
 }
 
+/** A place on the map that a step names: of an area two opposite corners or all, of a formation a target per robot. */
+export interface StepPlace {
+  parameter: string;
+  kind: "point" | "points" | "area" | "formation";
+  points: Point[];
+}
+
 export interface Step {
   name: string;
   behaviour: string;
@@ -236,6 +243,7 @@ export interface Step {
   waits_for: string[];
   confirm: string;
   reason: string;
+  places?: StepPlace[]; // none in the past of an older version
 }
 
 export interface Mission {
@@ -275,6 +283,22 @@ export interface AnswerFrame {
 export interface Camera {
   name: string;
   problem: string;
+}
+
+/** Where a picture lies on the floor: a grid of its points, row by row from the upper left. */
+export interface FloorMesh {
+  columns: number; // of cells: there is one point more
+  rows: number;
+  places: (Point | null)[];
+  eye_m: [x_m: number, y_m: number, z_m: number]; // of the camera
+  tops_m: number; // height of the robots' tags
+}
+
+export interface Picture {
+  t: "picture";
+  camera: string;
+  jpeg: string;
+  mesh: FloorMesh | null; // null: it is not known where the camera is
 }
 
 export interface StudyProbe {
@@ -528,7 +552,7 @@ export type Message =
   | Study
   | UnderlayFrame
   | { t: "cameras"; cameras: Camera[] }
-  | { t: "picture"; camera: string; jpeg: string }
+  | Picture
   | TimelineFrame
   | History
   | { t: "events"; events: TimeEvent[] }
