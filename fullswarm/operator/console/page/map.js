@@ -30,6 +30,7 @@ export class SwarmMap {
     this.stats = new Stats();
     this.options = { coverage: true, trails: true };
     this.underlay = /** @type {import("./underlay.js").Underlay | null} */ (null);
+    this.ranges = /** @type {import("./ranges.js").Ranges | null} */ (null);
     this.tool = /** @type {import("./tools.js").Tools | null} */ (null);
     this.hovered = /** @type {string | null} */ (null);
     this.old = false; // data is old: veiled
@@ -170,6 +171,7 @@ export class SwarmMap {
     context.clearRect(0, 0, this.view.width, this.view.height);
     this.drawn_s = this.store.clock.drawn(performance.now() / 1000);
     this.robots.place(this.store, this.view, this.drawn_s);
+    this.ranges?.draw(scene);
     drawGoals(scene, this.placed);
     this.robots.draw(scene, this.selection, this.hovered);
     if (this.old) {
