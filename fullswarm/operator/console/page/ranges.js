@@ -64,7 +64,8 @@ export class Ranges {
 
   #update() {
     const able = (/** @type {string} */ id) => this.store.info(id).capabilities?.includes("ranges") ?? false;
-    this.button.hidden = !this.offered || !this.store.ids().some(able);
+    const offered = this.offered && this.store.ids().some(able);
+    this.button.toggleAttribute("data-unknown", !offered); // it keeps its room: nothing moves when it appears
     const live = this.shown && this.offered && this.past.live && !document.hidden;
     const wanted = live ? [...new Set([this.detail.robot, ...this.selection.list()])].filter(able).slice(0, MOST) : [];
     for (const id of this.#scans.keys()) if (!wanted.includes(id)) this.#scans.delete(id);
