@@ -22,6 +22,7 @@ from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.maps.scans import BIN_RAD, FARTHEST_M, Bins, even, pack, sensor_at, thinned, unpack
 from fullswarm.messages import MOST_RAYS, RangeQuery, RangeReport, SensorScan
+from fullswarm.operator.scans import ScanFeed, scans_in
 from fullswarm.runtime import Mailbox, Runtime
 
 KEYS = Keys()
@@ -107,6 +108,18 @@ def test_a_scan_that_cannot_be_is_refused(changed: dict[str, object]) -> None:
 def test_a_query_for_an_impossible_rate_is_refused(rate_hz: float) -> None:
     with pytest.raises(MessageError):
         decode(encode(RangeQuery(source="x", rate_hz=rate_hz)), RangeQuery)
+
+
+def test_a_program_gets_points_in_the_world() -> None:
+    scan = packed(0.0, 0.5 * math.pi, np.array([1.0, math.inf, 2.0, math.nan]))
+    (found,) = scans_in(RangeReport(robot="r1", scans=(scan,), stamp_s=1.0))
+    assert found.angles_rad.tolist() == pytest.approx([0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])
+    heading_rad = 0.5 * math.pi + 0.3
+    ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
+    assert found.points_m == pytest.approx(np.array([0.8, 2.1]) + np.array([[1.0], [-2.0]]) * ahead)
+    lost = msgspec.structs.replace(scan, robot_at=None)
+    (nowhere,) = scans_in(RangeReport(robot="r1", scans=(lost,), stamp_s=1.0))
+    assert (nowhere.at, nowhere.points_m.shape) == (None, (0, 2))
 
 
 # ---------------------------------------------------------------- on request
@@ -213,3 +226,23 @@ def test_an_asker_that_names_other_robots_ends_its_query() -> None:
     bench.reporter.close()
     bench.ask()
     assert bench.count("r1", 1.0) == 0
+
+
+def test_a_program_gets_the_newest_scans_of_its_robots_while_it_asks() -> None:
+    bench = Bench()
+    feed = ScanFeed(bench.bus, KEYS, bench.runtime, "program", ("r1",), 10.0)
+    bench.run(5.0)  # longer than one query counts
+    found = feed.take()
+    assert found is not None
+    assert [(each.robot, each.sensor) for each in found] == [("r1", "front")]
+    assert bench.runtime.now_s() - found[0].stamp_s < 0.25
+    assert feed.take() is None
+    bench.ask("another")  # for all
+    bench.run(0.5)
+    assert {each.robot for each in bench.reports} == {"r1", "r2"}
+    assert {each.robot for each in feed.take() or ()} == {"r1"}
+    feed.close()
+    feed.close()
+    bench.ask("another", robots=("r9",))
+    bench.run(0.1)
+    assert bench.count("r1", 2.0) == 0
