@@ -940,7 +940,7 @@ class Swarm:
         Parameters
         ----------
         robots : whose; None: of all robots
-        rate_hz : how often each is asked for, 20 at most; no scan comes twice, and more come while others ask more often
+        rate_hz : how often each is asked for, 20 at most; no scan comes twice; more come while others ask more often
 
         Raises
         ------

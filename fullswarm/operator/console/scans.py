@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import base64
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
 from fullswarm.maps.scans import pack, sensor_at, thinned, unpack
 from fullswarm.messages import RangeReport, SensorScan
 from fullswarm.operator.console import frames
+from fullswarm.operator.console.sessions import Listener
 from fullswarm.operator.scans import DEFAULT_HZ, ScanWatch
 from fullswarm.runtime import Scheduler
-
-if TYPE_CHECKING:
-    from fullswarm.operator.console.sessions import Listener
 
 MOST_ROBOTS = 16
 """Robots that are asked for all pages together; a page names at most `frames.MOST_SCANNED`."""

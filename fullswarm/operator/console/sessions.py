@@ -17,7 +17,6 @@ from fullswarm.operator.console import frames
 from fullswarm.operator.console.frames import Answer
 from fullswarm.operator.console.log import for_page
 from fullswarm.operator.console.samples import DEFAULT
-from fullswarm.operator.console.scans import Scans
 from fullswarm.operator.console.study import StudyDesk
 from fullswarm.operator.console.tokens import Role
 from fullswarm.operator.console.undo import Known, Step, UndoPlan
@@ -84,6 +83,14 @@ class ExperimentDesk(Protocol):
         ...
 
 
+class ScanDesk(Protocol):
+    """Sends pages the range scans of robots; see :class:`fullswarm.operator.console.scans.Scans`."""
+
+    def show(self, listener: Listener, robots: tuple[str, ...]) -> None:
+        """Send a page the scans of these robots from now on; of none: no more."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class ConsoleContext:
     """What all operator sessions share."""
@@ -102,7 +109,7 @@ class ConsoleContext:
     note: Callable[[str, str], None]  # logs what an operator has changed: text, name
     hand_over: Callable[[frames.HandOver, OperatorSession], str]  # carries it out, or returns why not
     experiments: ExperimentDesk | None = None  # None: this console offers none
-    scans: Scans | None = None  # None: this console shows none
+    scans: ScanDesk | None = None  # None: this console shows none
 
 
 class OperatorSession:
