@@ -108,7 +108,7 @@ def scans_in(report: RangeReport) -> list[Scan]:
     found = []
     for each in report.scans:
         bins = unpack(each)
-        angles_rad = bins.first_rad + bins.step_rad * np.arange(len(bins.distances_m))
+        angles_rad: Array = bins.first_rad + bins.step_rad * np.arange(len(bins.distances_m), dtype=np.float64)
         found.append(Scan(
             report.robot, each.sensor, angles_rad, bins.distances_m, each.mount, sensor_at(each), each.max_m,
             each.cone_rad, each.stamp_s,

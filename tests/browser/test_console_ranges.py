@@ -8,6 +8,7 @@ import math
 import struct
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import Browser, expect
@@ -91,8 +92,8 @@ def colour(console: Console, x_m: float, y_m: float) -> tuple[int, ...]:
     x, y = console.page.evaluate("([x, y]) => window.fullswarm.toScreen(x, y)", [x_m, y_m])
     clip = {"x": round(x) - 1, "y": round(y) - 1, "width": 3, "height": 3}
     picture = Image.open(io.BytesIO(console.page.screenshot(clip=clip))).convert("RGB")  # type: ignore[arg-type]
-    pixels = [picture.getpixel((column, row)) for column in range(3) for row in range(3)]
-    return min(pixels, key=lambda each: each[2])  # type: ignore[index,return-value]
+    pixels = np.asarray(picture).reshape(-1, 3)
+    return tuple(int(each) for each in pixels[pixels[:, 2].argmin()])
 
 
 def test_malformed_scans_break_nothing(console: Console) -> None:

@@ -62,6 +62,7 @@ def test_ros_gets_what_the_simulated_sensor_measured(lab: Lab) -> None:
     assert reading is not None
     ((_, measured),) = reading.ranges
     lab.swarm.run(0.06)  # it is reported by then, and the next one is measured later
+    assert lab.swarm.agent.reading is not None
     assert lab.swarm.agent.reading.ranges is reading.ranges
     newest = lab.link.seen("r_1/scan")[-1]
     assert np.isnan(measured.distances_m).any()
