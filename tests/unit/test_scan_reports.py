@@ -14,16 +14,19 @@ from hypothesis import strategies as st
 from fullswarm.agent.state import AgentState
 from fullswarm.agent.telemetry.scans import MOST_ASKERS, ScanReporter
 from fullswarm.bus.codec import decode, encode
+from fullswarm.bus.lanes import service_of
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import FleetReading, Pose, RangeScan
 from fullswarm.errors import MessageError
+from fullswarm.identity.access import TOPICS
+from fullswarm.identity.binding import check_of
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.maps.scans import BIN_RAD, FARTHEST_M, Bins, even, pack, sensor_at, thinned, unpack
 from fullswarm.messages import MOST_RAYS, RangeQuery, RangeReport, SensorScan
 from fullswarm.operator.scans import ScanFeed, scans_in
-from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.runtime import Lane, Mailbox, Runtime
 
 KEYS = Keys()
 ANGLES = np.linspace(-math.pi, math.pi, 360, endpoint=False)
@@ -246,3 +249,32 @@ def test_a_program_gets_the_newest_scans_of_its_robots_while_it_asks() -> None:
     bench.ask("another", robots=("r9",))
     bench.run(0.1)
     assert bench.count("r1", 2.0) == 0
+
+
+# ---------------------------------------------------------------- who may
+@pytest.mark.parametrize(
+    ("rest", "sender", "message", "allowed"),
+    [
+        ("range/query", "anna", RangeQuery(source="x"), True),
+        ("range/query", "console", RangeQuery(source="x"), True),
+        ("range/query", "core", RangeQuery(source="x"), False),
+        ("range/report/r1", "r1", RangeReport(robot="r1", scans=(), stamp_s=0.0), True),
+        ("range/report/r1", "r1", RangeReport(robot="r2", scans=(), stamp_s=0.0), False),
+        ("range/report/r2", "r1", RangeReport(robot="r2", scans=(), stamp_s=0.0), False),
+    ],
+)
+def test_only_people_ask_and_a_robot_reports_itself_alone(
+    rest: str, sender: str, message: RangeQuery | RangeReport, allowed: bool
+) -> None:
+    check = check_of(rest, sender, secured=True)
+    assert (check is None or check(message) == "") is allowed
+
+
+def test_the_access_list_lets_neither_robots_nor_observers_ask() -> None:
+    rights = {topic.key: set(topic.publish) for topic in TOPICS}
+    assert rights["range/query"] == {"operator", "console"}
+    assert rights["range/report/<robot>"] == {"robot"}
+
+
+def test_scans_are_served_last() -> None:
+    assert service_of("s/range/report/r1").lane is service_of("s/range/query").lane is Lane.READS
