@@ -28,6 +28,8 @@ key                                                     message                w
 ``<swarm>/searched/<host>``                             SearchedDiscs          agent → agents
 ``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
 ``<swarm>/grid/<host>``                                 GridTiles              agent → agents, operators
+``<swarm>/range/query``                                 RangeQuery             operators → agents
+``<swarm>/range/report/<id>``                           RangeReport            agent → operators
 ``<swarm>/health/<host>``                               HealthReport           agent → all
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
 ``<swarm>/clock/<host>/probe``                          ClockProbe             agent → core
@@ -188,6 +190,15 @@ class Keys:
     def grid(self, host: str = ANY) -> str:
         """Tiles of the occupancy grid that the robots of a host have measured."""
         return f"{self.swarm}/grid/{host}"
+
+    @property
+    def range_query(self) -> str:
+        """Asks robots for the scans of their range sensors."""
+        return f"{self.swarm}/range/query"
+
+    def range_report(self, robot: str = ANY) -> str:
+        """The newest scans of a robot, while there is a query for it."""
+        return f"{self.swarm}/range/report/{robot}"
 
     def obstacles(self, host: str = ANY) -> str:
         """Static obstacles that the robots of a host have seen."""

@@ -46,7 +46,11 @@ Turns = Annotated[tuple[Turn, ...], Meta(max_length=MOST)]
 Sigmas = Annotated[tuple[Sigma, ...], Meta(max_length=MOST)]
 Accelerations = Annotated[tuple[Acceleration, ...], Meta(max_length=MOST)]
 Changes = Annotated[tuple[Finite, ...], Meta(max_length=MOST)]  # m/s
+Place = tuple[Metres, Metres, Radians]
 Box = tuple[Metres, Metres, HalfSize, HalfSize, Radians, HalfSize]
+
+MOST_RAYS, MOST_SENSORS = 2048, 16
+"""Rays of a scan, and range sensors of a robot whose scans are shown, at most."""
 
 Value = (
     bool
@@ -913,6 +917,44 @@ class GridTiles(Message, frozen=True, kw_only=True):
     columns: Count
     tiles: Annotated[tuple[Count, ...], Meta(max_length=64)]  # their numbers, row by row
     cells: Annotated[bytes, Meta(max_length=20_000)]  # two bits each: 0 unknown, 1 free, 2 occupied; deflated
+    stamp_s: Stamp
+
+
+class RangeQuery(Message, frozen=True, kw_only=True):
+    """Asks robots for the scans of their range sensors; counts for 3 s, so that whoever looks on repeats it.
+
+    A robot that several ask reports at the highest of their rates, and no scan twice.
+    """
+
+    source: ShortText  # unique per asker
+    robots: Names = ()  # none: all
+    rate_hz: Annotated[float, Meta(gt=0.0, le=20.0)] = 5.0
+
+
+class SensorScan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The newest scan of one range sensor, as rays at equal angles, counter-clockwise; part of RangeReport.
+
+    `distances` are millimetres in two bytes each, the low one first; 65534: nothing within `max_m`; 65535: not
+    measured. :mod:`fullswarm.maps.scans` packs and unpacks them.
+    """
+
+    sensor: ShortText  # tells the sensors of a robot apart
+    mount: Place  # on the robot: x forward, y left, and where the sensor's own x axis points
+    robot_at: Place | None  # pose of the robot when the last ray was measured, world frame; None: not known
+    first_rad: Radians  # from the sensor's own x axis
+    step_rad: Annotated[float, Meta(ge=0.0, le=7.0)]  # 0: a single ray
+    distances: Annotated[bytes, Meta(max_length=2 * MOST_RAYS)]
+    max_m: Annotated[float, Meta(gt=0.0, le=1e5)]
+    cone_rad: Annotated[float, Meta(ge=0.0, le=7.0)] = 0.0  # each ray's full field of view
+    duration_s: Validity = 0.0  # from the first ray to the last
+    stamp_s: Stamp  # when the last ray was measured
+
+
+class RangeReport(Message, frozen=True, kw_only=True):
+    """The newest scans of one robot's range sensors, while there is a `RangeQuery` for it."""
+
+    robot: str
+    scans: Annotated[tuple[SensorScan, ...], Meta(max_length=MOST_SENSORS)]
     stamp_s: Stamp
 
 

@@ -44,6 +44,7 @@ from fullswarm.agent.telemetry.metrics import MetricSampler
 from fullswarm.agent.telemetry.remembered import PERIOD_S as MEMORY_PERIOD_S
 from fullswarm.agent.telemetry.remembered import MemoryReporter
 from fullswarm.agent.telemetry.reports import Reports
+from fullswarm.agent.telemetry.scans import ScanReporter
 from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.bus.base import Bus, CountingBus
 from fullswarm.bus.report_query import ReportsOnQuery
@@ -142,8 +143,9 @@ class AgentNode:
         self.ranges = RangeSense(
             fleet.descriptions, self.neighbours, config.bounds_m, settings.grid_cell_m, state.radius
         )  # fmt: skip
-        self._grid_sharing = None
+        self._grid_sharing = self._scan_reporter = None
         if self.ranges.any:
+            self._scan_reporter = ScanReporter(bus, keys, scheduler, fleet.ids, state)
             self._grid_sharing = GridSharing(
                 bus, keys, scheduler, identity.host, self.ranges, self.obstacle_map, config.bounds_m,
                 (*config.robots, *fleet.ids),
@@ -533,6 +535,8 @@ class AgentNode:
         self._obstacle_sharing.close()
         if self._grid_sharing is not None:
             self._grid_sharing.close()
+        if self._scan_reporter is not None:
+            self._scan_reporter.close()
         self.reception.close()
         self.exchange.close()
         self.profiles.close()

@@ -38,13 +38,17 @@ def start(
         float, typer.Option(metavar="MB", min=0, help="Begin a new file from this size on; 0: never.")
     ] = 500.0,
     keep: Annotated[int, typer.Option(metavar="N", min=0, help="Keep the newest N of these files; 0: all.")] = 0,
+    ranges: Annotated[
+        float,
+        typer.Option(metavar="HZ", min=0.0, max=20.0, help="Ask robots for their range scans so often; 0: do not ask."),
+    ] = 0.0,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> int:
     """Record every message of a live swarm until Ctrl-C."""
     need_recordings()
     from fullswarm.record.session import start as run
 
-    return run(target, out, fleet, limit_mb, keep, with_parent)
+    return run(target, out, fleet, limit_mb, keep, with_parent, ranges)
 
 
 @record_app.command()

@@ -46,11 +46,17 @@ def bridge(
     ] = None,
     ros1_python: Annotated[str, typer.Option(metavar="FILE", help="The Python that has rospy.")] = "/usr/bin/python3",
     namespace: Annotated[str, typer.Option(metavar="NAME", help="Put this before the name of every topic.")] = "",
+    scans: Annotated[
+        float,
+        typer.Option(
+            metavar="HZ", min=0.0, max=20.0, help="Ask robots for their range scans so often; 0: show no scans."
+        ),
+    ] = 5.0,
     allow_commands: Annotated[
         bool, typer.Option("--allow-commands", help="Carry out velocities and requests of ROS as this operator.")
     ] = False,
 ) -> int:
-    """Show a live swarm to ROS until Ctrl-C: odometry, tf, battery, map, markers, diagnostics."""
+    """Show a live swarm to ROS until Ctrl-C: odometry, tf, battery, scans, map, markers, diagnostics."""
     import importlib.util
 
     if importlib.util.find_spec("rosbags") is None:
@@ -59,6 +65,5 @@ def bridge(
     from fullswarm.ros_bridge.session import Sides
     from fullswarm.ros_bridge.session import bridge as run
 
-    return run(
-        target, Sides(ros2, keys.value, domain, ros1, ros1_python), Options(namespace.strip("/"), allow_commands)
-    )
+    options = Options(namespace.strip("/"), allow_commands, scans)
+    return run(target, Sides(ros2, keys.value, domain, ros1, ros1_python), options)

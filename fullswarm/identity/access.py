@@ -52,6 +52,8 @@ from fullswarm.messages import (
     PoseFix,
     ProcessReport,
     RangeFix,
+    RangeQuery,
+    RangeReport,
     Reception,
     RelayedStates,
     ReportQuery,
@@ -160,6 +162,8 @@ TOPICS: tuple[Topic, ...] = (
     Topic("searched/<host>", (SearchedDiscs,), _OWN_ROBOT, _NEIGHBOURS),
     Topic("obstacles/<host>", (SeenObstacles,), _OWN_ROBOT, _any("robot") | _PEOPLE),
     Topic("grid/<host>", (GridTiles,), _OWN_ROBOT, _any("robot") | _PEOPLE),
+    Topic("range/query", (RangeQuery,), _OPERATORS, _NEIGHBOURS),
+    Topic("range/report/<robot>", (RangeReport,), _OWN_ROBOT, _PEOPLE),
     Topic("health/<host>", (HealthReport,), _OWN_ROBOT, _any("core", "source") | _PEOPLE),
     Topic(
         "heartbeat/<node>",

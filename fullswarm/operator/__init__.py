@@ -15,6 +15,7 @@ so that ``fullswarm --help`` appears at once.
 ``missions.py``     starts and controls missions, and collects their states
 ``params.py``       reads and writes a layer's local database (paper II.A)
 ``view.py``         collects what a swarm publishes: the newest of everything, with its age
+``scans.py``        asks robots for the scans of their range sensors, while they are looked at
 ``robot_state.py``  describes in a few words what a robot does, and the remedy
 ``render.py``       draws the swarm as a table for a terminal
 ``state_lines.py``  tells changes of the swarm's state as lines, for a pipe

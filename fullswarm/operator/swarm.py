@@ -52,6 +52,7 @@ from fullswarm.operator.missions import ENDED, SILENT_S, MissionClient, PendingM
 from fullswarm.operator.missions import refusal as mission_refusal
 from fullswarm.operator.outcome import ended, refusal, settled
 from fullswarm.operator.params import ParamClient
+from fullswarm.operator.scans import DEFAULT_HZ, MOST_HZ, Scan, ScanFeed
 from fullswarm.operator.session import operator_name, own_credentials, usual_name
 from fullswarm.operator.view import FleetView, RobotRow, Snapshot
 from fullswarm.parameters import goals_of
@@ -326,6 +327,23 @@ class Client:
         return self.until(ready, CONNECT_S + LISTEN_S, late)
 
     # ------------------------------------------------------------ reading
+    def watch_scans(self, robots: tuple[str, ...], rate_hz: float) -> ScanFeed:
+        """Ask for scans from now on."""
+        if not 0.0 < rate_hz <= MOST_HZ:
+            raise ValueError(f"rate_hz is {rate_hz}; it must be above 0 and {MOST_HZ:g} at most")
+        source = f"{self.source}/{next(_numbers)}"
+        bus = NamedBus(self._bus, OPERATOR)
+        return self.call(lambda: ScanFeed(bus, self.keys, self._runtime, source, robots, rate_hz)).result()
+
+    def scans(self, feed: ScanFeed) -> Future[list[Scan]]:
+        """Wait for the next scans."""
+        return self.until(feed.take, None, self._closed)
+
+    def end_scans(self, feed: ScanFeed) -> None:
+        """Ask for them no more."""
+        with suppress(FullswarmError):  # a closed client asks for nothing any more
+            self.call(feed.close)
+
     def robots(self) -> tuple[str, ...]:
         """Return the robots that have been received so far, by id."""
         return self.call(self._view.robots).result()
@@ -914,6 +932,32 @@ class Swarm:
                 return
             yield snapshot
 
+    def scans(self, robots: Names = None, *, rate_hz: float = DEFAULT_HZ) -> Iterator[Scan]:
+        """Yield the scans of robots' range sensors as they come; robots send them only while this is read.
+
+        A slow reader gets the newest of each robot. It waits while none comes, and ends when the swarm is closed.
+
+        Parameters
+        ----------
+        robots : whose; None: of all robots
+        rate_hz : how often each is asked for, 20 at most; no scan comes twice; more come while others ask more often
+
+        Raises
+        ------
+        ValueError
+            The rate is not above 0, or above 20.
+        """
+        feed = self._client.watch_scans(_names(robots), rate_hz)
+        try:
+            while True:
+                try:
+                    found = _wait(self._client.scans(feed))
+                except FullswarmError:
+                    return
+                yield from found
+        finally:
+            self._client.end_scans(feed)
+
     def request(
         self,
         behaviour: str,
@@ -1139,6 +1183,20 @@ class AsyncSwarm:
             except FullswarmError:
                 return
             yield snapshot
+
+    async def scans(self, robots: Names = None, *, rate_hz: float = DEFAULT_HZ) -> AsyncIterator[Scan]:
+        """Yield the scans of robots' range sensors as they come; see :meth:`Swarm.scans`."""
+        feed = await asyncio.to_thread(self._client.watch_scans, _names(robots), rate_hz)
+        try:
+            while True:
+                try:
+                    found = await asyncio.wrap_future(self._client.scans(feed))
+                except FullswarmError:
+                    return
+                for scan in found:
+                    yield scan
+        finally:
+            self._client.end_scans(feed)
 
     async def request(
         self,

@@ -15,7 +15,7 @@ from fullswarm.errors import ConfigError, MessageError
 from fullswarm.identity.access import TOPICS, Topic
 from fullswarm.journal.journal import JournalTail
 from fullswarm.keys import Keys
-from fullswarm.messages import CameraPicture, Message
+from fullswarm.messages import CameraPicture, Message, RangeReport
 from fullswarm.record.recording import Schema
 from fullswarm.record.scene import Drawn, Scene, log_line
 from fullswarm.record.table import Table
@@ -144,7 +144,7 @@ class Recorder:
             self.strange += 1
             return
         time_ns = self._ns(carried.arrival_s)
-        if not isinstance(message, CameraPicture):  # a picture is recorded once, as viewers show it
+        if not isinstance(message, CameraPicture | RangeReport):  # these are recorded once, as viewers show them
             name = "/" + carried.key.partition("/")[2]
             data = msgspec.json.encode(message)
             self._recording.write(name, carried.sender, self._schemas[type(message)], time_ns, data)

@@ -20,6 +20,7 @@ from foxglove.messages import (
     Duration,
     FrameTransform,
     FrameTransforms,
+    LaserScan,
     Log,
     LogLevel,
     Pose,
@@ -31,7 +32,8 @@ from foxglove.messages import (
     Vector3,
 )
 
-from fullswarm.messages import CameraPicture, Message, RobotStates, SeenObstacles
+from fullswarm.maps.scans import unpack
+from fullswarm.messages import CameraPicture, Message, RangeReport, RobotStates, SeenObstacles, SensorScan
 from fullswarm.recent import Recent
 from fullswarm.record.recording import Schema
 
@@ -44,6 +46,8 @@ LASTS_S = 3
 """A body is drawn so long after the last scene that has it."""
 SILENT_S = 10.0
 """A robot that has sent no state for so long is drawn no more."""
+OLDEST_SCAN_S = 1.0
+"""A scan is stamped no earlier than this before its arrival, whatever its robot states."""
 GREY = Color(r=0.5, g=0.5, b=0.55, a=0.9)
 WHITE = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 LEVELS = {"debug": LogLevel.Debug, "info": LogLevel.Info, "warning": LogLevel.Warning, "error": LogLevel.Error}
@@ -72,6 +76,10 @@ class Scene:
             self._obstacles[message.host] = message
         elif isinstance(message, CameraPicture):
             yield _drawn(f"/camera/{message.camera}", _picture(message, time_ns))
+        elif isinstance(message, RangeReport):
+            for scan in message.scans:
+                at_ns = time_ns - round(1e9 * min(max(message.stamp_s - scan.stamp_s, 0.0), OLDEST_SCAN_S))
+                yield _drawn(f"/scan/{message.robot}/{scan.sensor}", _scan(message.robot, scan, at_ns))
 
     def whole(self, now_s: float, time_ns: int) -> Drawn:
         """Return all bodies and obstacles: a viewer may start anywhere."""
@@ -164,3 +172,13 @@ def _cube(row: tuple[float, ...]) -> CubePrimitive:
 
 def _picture(message: CameraPicture, time_ns: int) -> CompressedImage:
     return CompressedImage(timestamp=_time(time_ns), frame_id=WORLD, data=message.jpeg, format="jpeg")
+
+
+def _scan(robot: str, scan: SensorScan, time_ns: int) -> LaserScan:
+    """Return a scan in its robot's frame; infinite: nothing is there; NaN: not measured."""
+    bins = unpack(scan)
+    x_m, y_m, heading_rad = scan.mount
+    return LaserScan(
+        timestamp=_time(time_ns), frame_id=robot, pose=_at(x_m, y_m, 0.0, heading_rad), start_angle=bins.first_rad,
+        end_angle=bins.first_rad + bins.step_rad * max(0, len(bins.distances_m) - 1), ranges=bins.distances_m.tolist(),
+    )  # fmt: skip

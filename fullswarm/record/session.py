@@ -25,6 +25,7 @@ from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch.journals import code_hash, journal_folder
 from fullswarm.launch.processes import RUN, serve, state_folder
+from fullswarm.operator.scans import ScanWatch
 from fullswarm.operator.session import CONNECT_S, Target
 from fullswarm.output import progress
 from fullswarm.portability import lock
@@ -58,6 +59,7 @@ def start(
     limit_mb: float,
     keep: int,
     with_parent: bool,
+    ranges_hz: float = 0.0,
 ) -> int:
     """Record until Ctrl-C, SIGTERM, `stop` or the parent's end.
 
@@ -67,10 +69,12 @@ def start(
     fleet : goes into the file, if it is given
     limit_mb, keep : size from which on a new file is begun, and how many of them are kept; 0: no limit
 
+    ranges_hz : how often robots are asked for their range scans; 0: what others ask for is recorded
+
     Raises
     ------
     ConfigError
-        The file is there already or cannot be written, or the fleet file cannot be read.
+        The file is there already or cannot be written, the fleet file cannot be read, or this hub lets no recorder ask.
     Unreachable
         No hub answers.
     """
@@ -78,6 +82,11 @@ def start(
     attachments = [] if fleet is None else [_attached(fleet)]
     hub = target.hub or DEFAULT_HUB
     credentials = credentials_at(hub, target.swarm, NAME, "observer")
+    if ranges_hz > 0.0 and credentials is not None:
+        raise ConfigError(
+            "a recorder is an observer, which can ask robots for nothing at a secured hub", where="--ranges",
+            hint="leave it out and select the robots on the console: the scans that it asks for are recorded",
+        )  # fmt: skip
     bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
     try:
         bus.wait_connected(HUB_UP_S if with_parent else CONNECT_S)
@@ -97,11 +106,17 @@ def start(
             lambda problem: _fail(problem, path, runtime),
             journals_in(journal_folder(Path(run))) if run else no_journals,
         )
+        nodes: list[Recorder | ScanWatch] = [recorder]
+        if ranges_hz > 0.0:
+            source = f"recorder {platform.node()[:40]} {os.getpid()}"
+            watch = ScanWatch(bus, Keys(target.swarm), runtime, source, lambda _: None)
+            watch.ask(None, ranges_hz)
+            nodes.append(watch)
         if not with_parent:
             progress(f"recording swarm '{target.swarm}' to {path}; Ctrl-C or `fullswarm record stop` ends it")
         found = Running(os.getpid(), target.swarm, str(path.absolute()), hub)
         with contextlib.nullcontext() if with_parent else _announced(found):  # that of `up` ends with `up`
-            serve(runtime, [recorder], with_parent)
+            serve(runtime, nodes, with_parent)
     finally:
         bus.close()
     took_s = wall_time_s() - began_s

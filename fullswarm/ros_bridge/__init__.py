@@ -7,6 +7,7 @@
         values.py           states, health, obstacles and grids as plain values of ROS messages
         grid.py             the tiles of all hosts joined in one occupancy grid
         cmd_vel.py          drives robots by the velocities that ROS publishes: leases, dead-man, refusals
+        scans.py              the scans of one robot's range sensors
         requests.py         carries out requests in JSON, and answers them
         control_requests.py   shows which behaviour each robot runs, on the paper's topics
         complaints.py       counts and names what ROS sends wrongly, without a flood in the log

@@ -1,8 +1,8 @@
 """Shows a swarm to ROS, and carries out what ROS asks if the operator has allowed that.
 
-In, from the bus: RobotStates, HealthReport, RobotProfiles, SeenObstacles, GridTiles, BehaviourRequest, Leases. Out, to
-ROS: the topics of `values.py`; see docs/how-to-ros-bridge.md. In, from ROS, only with commands: ``<robot>/cmd_vel`` and
-``swarm/request``.
+In, from the bus: RobotStates, HealthReport, RobotProfiles, SeenObstacles, GridTiles, RangeReport, BehaviourRequest,
+Leases. Out, to ROS: the topics of `values.py`; see docs/how-to-ros-bridge.md. In, from ROS, only with commands:
+``<robot>/cmd_vel`` and ``swarm/request``.
 """
 
 from __future__ import annotations
@@ -21,10 +21,20 @@ from fullswarm.bus.base import Bus
 from fullswarm.bus.lanes import Bucket
 from fullswarm.errors import MessageError
 from fullswarm.keys import ROBOT_ID, Keys
-from fullswarm.messages import BehaviourRequest, EStop, GridTiles, HealthReport, RobotStates, SeenObstacles, StopRequest
+from fullswarm.messages import (
+    BehaviourRequest,
+    EStop,
+    GridTiles,
+    HealthReport,
+    RangeReport,
+    RobotStates,
+    SeenObstacles,
+    StopRequest,
+)
 from fullswarm.operator.client import Operator
 from fullswarm.operator.leases import LeaseHolder
 from fullswarm.operator.robot_state import advise, row_state
+from fullswarm.operator.scans import DEFAULT_HZ, ScanWatch
 from fullswarm.operator.view import FleetView, RobotRow, natural
 from fullswarm.recent import Recent
 from fullswarm.ros_bridge import codec as types
@@ -35,6 +45,7 @@ from fullswarm.ros_bridge.control_requests import ControlRequests, SeenRequests
 from fullswarm.ros_bridge.grid import JoinedGrid
 from fullswarm.ros_bridge.link import Incoming, Link, Topic, Values
 from fullswarm.ros_bridge.requests import Halted, Requests
+from fullswarm.ros_bridge.scans import ScanTopics
 from fullswarm.runtime import Scheduler
 
 log = structlog.get_logger("fullswarm.ros")
@@ -73,6 +84,7 @@ class Shown:
     arrived_s: float
     bucket: Bucket
     control_requests: ControlRequests
+    scans: ScanTopics
     topics: dict[str, Topic] = field(default_factory=dict)  # by their last chunk
 
 
@@ -86,10 +98,13 @@ class Options:
         Before the name of every topic; empty: none.
     commands
         Take velocities and requests of ROS.
+    scans_hz
+        Ask the robots for their range scans so often, 20 times a second at most; 0: do not ask.
     """
 
     namespace: str = ""
     commands: bool = False
+    scans_hz: float = DEFAULT_HZ
 
 
 class Bridge:
@@ -115,6 +130,10 @@ class Bridge:
         self._obstacles: Recent[str, SeenObstacles] = Recent(MOST_HOSTS)
         self._requests = SeenRequests()
         self._static: frozenset[str] = frozenset()
+        self._mounted = False  # a sensor's frame is new or has moved
+        self._scans = ScanWatch(bus, keys, scheduler, operator.source, self._on_scans)
+        if options.scans_hz > 0.0:
+            self._scans.ask(None, options.scans_hz)
         self._up = {link.where: link.up for link in links}
         self._inputs: dict[str, tuple[str, str]] = {}  # topic → its type, robot
         self._services: dict[str, Literal["stop", "estop"]] = {}  # by full name
@@ -191,7 +210,8 @@ class Bridge:
             return None
         self._names[name] = robot
         control_requests = ControlRequests(name, self._advertise, self._withdraw, self._publish)
-        found = self._shown[robot] = Shown(name, state, now_s, Bucket(ODOMETRY_HZ, now_s), control_requests)
+        scans = ScanTopics(name, self._advertise, self._withdraw, self._publish, now_s)
+        found = self._shown[robot] = Shown(name, state, now_s, Bucket(ODOMETRY_HZ, now_s), control_requests, scans)
         self._offer(found, "odom", types.ODOMETRY)
         if self._options.commands:
             topic = found.topics["cmd_vel"] = Topic(f"{name}/cmd_vel", types.TWIST)
@@ -211,6 +231,7 @@ class Bridge:
         if drive is not None:
             drive.release()
         shown.control_requests.close()
+        shown.scans.close()
         for topic in shown.topics.values():
             self._withdraw(topic)
 
@@ -231,11 +252,14 @@ class Bridge:
             self._publish(TF, {"transforms": moved})
 
     def _publish_static(self, stamp_ns: int) -> None:
-        """Publish where the robots' frames lie in the map, if others than before do."""
+        """Publish where robots' frames lie in the map, and sensors on their robots, if others than before do."""
         names = frozenset(each.name for each in self._shown.values() if not each.state.own_frame)
-        if names != self._static:
-            self._static = names
+        if names != self._static or self._mounted:
+            self._static, self._mounted = names, False
             frames = [v.transform(v.MAP, f"{name}/odom", stamp_ns) for name in sorted(names)]
+            for shown in self._shown.values():
+                for frame, mount in shown.scans.mounts.items():
+                    frames.append(v.transform(f"{shown.name}/base_link", frame, stamp_ns, mount))
             self._publish(TF_STATIC, {"transforms": frames})
 
     def _on_obstacles(self, message: SeenObstacles) -> None:
@@ -246,6 +270,14 @@ class Bridge:
             shown = self._shown.get(health.robot)
             if shown is not None:
                 shown.control_requests.update(health, self._requests)
+
+    def _on_scans(self, report: RangeReport) -> None:
+        shown = self._shown.get(report.robot)
+        if shown is not None:
+            stamp_ns = self._wall_ns()
+            if shown.scans.update(report, self._scheduler.now_s(), stamp_ns):
+                self._mounted = True
+                self._publish_static(stamp_ns)
 
     def _on_grid(self, message: GridTiles) -> None:
         try:
@@ -433,6 +465,7 @@ class Bridge:
             timer.cancel()
         for subscription in self._subscriptions:
             subscription.close()
+        self._scans.close()
         self._leases.close()
         self._view.close()
         for link in self._links:

@@ -18,6 +18,7 @@ from fullswarm.ros_bridge.link import Values
 TWIST, STRING = "geometry_msgs/msg/Twist", "std_msgs/msg/String"
 ODOMETRY, BATTERY = "nav_msgs/msg/Odometry", "sensor_msgs/msg/BatteryState"
 TF, GRID = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/OccupancyGrid"
+SCAN = "sensor_msgs/msg/LaserScan"
 MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
 TRIGGER = "std_srvs/srv/Trigger"

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fullswarm.maps.scans import unpack
 from fullswarm.maps.tiles import GridPlace
-from fullswarm.messages import RobotHealth, RobotStates
+from fullswarm.messages import RobotHealth, RobotStates, SensorScan
 
 MAP = "map"
 BODY_M, NAME_M, WALL_M = 0.1, 0.15, 0.3
@@ -80,9 +81,9 @@ def pose(x_m: float = 0.0, y_m: float = 0.0, angle_rad: float = 0.0, z_m: float 
     return {"position": {"x": x_m, "y": y_m, "z": z_m}, "orientation": turned(angle_rad)}
 
 
-def transform(parent: str, child: str, stamp_ns: int, state: RobotState | None = None) -> dict[str, Any]:
-    """Return a transform; without a state the identity."""
-    x_m, y_m, heading_rad = (0.0, 0.0, 0.0) if state is None else state[:3]
+def transform(parent: str, child: str, stamp_ns: int, place: Sequence[float] | None = None) -> dict[str, Any]:
+    """Return a transform to a place that begins with x, y and heading, as a state does; without one the identity."""
+    x_m, y_m, heading_rad = (0.0, 0.0, 0.0) if place is None else place[:3]
     return {
         "header": header(parent, stamp_ns), "child_frame_id": child,
         "transform": {"translation": {"x": x_m, "y": y_m, "z": 0.0}, "rotation": turned(heading_rad)},
@@ -111,6 +112,17 @@ def battery(name: str, health: RobotHealth, stamp_ns: int) -> dict[str, Any]:
     return {
         "header": header(f"{name}/base_link", stamp_ns), **unknown, "percentage": health.battery,
         "power_supply_status": status, "present": True,
+    }  # fmt: skip
+
+
+def laser_scan(frame: str, scan: SensorScan, stamp_ns: int) -> dict[str, Any]:
+    """Return a scan with the time of its last ray; by REP 117 what is infinite is not there, NaN was not measured."""
+    bins = unpack(scan)
+    last_rad = bins.first_rad + bins.step_rad * max(0, len(bins.distances_m) - 1)
+    return {
+        "header": header(frame, stamp_ns), "angle_min": bins.first_rad, "angle_max": last_rad,
+        "angle_increment": bins.step_rad, "scan_time": scan.duration_s, "range_max": scan.max_m,
+        "ranges": bins.distances_m,
     }  # fmt: skip
 
 

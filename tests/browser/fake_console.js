@@ -9,7 +9,7 @@
   performance.now = () => now_ms() + skipped_ms;
   const swarm = {
     robots: options.robots, silent: [], trouble: {}, estop: [], behaviour: "flocking_bc", moving: true, leases: [],
-    missions: [], people: [], offers: [], mute: false,
+    missions: [], people: [], offers: [], ranged: [], mute: false,
   };
   let line = null;
   let asked = null; // the newest frame `charts`
@@ -26,7 +26,7 @@
       behaviour: latched ? "" : swarm.behaviour, moving: swarm.moving && !latched, estop: latched,
       state: word, state_word: word, state_why: why, attention: latched || id in swarm.trouble, stop_reason: "", stop_code: "",
       fault: "", advice: latched ? "Look whether the way is free, then clear the e-stop." : why && "Lift it back, then request again.",
-      battery: 0.2 + (k % 8) / 10, radius_m: 0.17, filter_note: "", pose_by: "odometry", capabilities: [], actuators: {}, memory: "",
+      battery: 0.2 + (k % 8) / 10, radius_m: 0.17, filter_note: "", pose_by: "odometry", capabilities: swarm.ranged.includes(id) ? ["ranges"] : [], actuators: {}, memory: "",
     };
   }
 

@@ -49,6 +49,8 @@ def main() -> None:
     rospy.Subscriber(
         f"/{robot}/odom", Odometry or rospy.AnyMsg, lambda message: odometry.append((time.monotonic(), read(message)))
     )
+    scans: list[Any] = []
+    rospy.Subscriber("/r2/scan", rospy.AnyMsg, lambda message: scans.append(read(message)))
     rospy.Subscriber("/swarm/answer", String, lambda message: answers.append(message.data))
     rospy.Subscriber("/tf_static", TFMessage, lambda message: frames.append(message.transforms[0].child_frame_id))
     ask = rospy.Publisher("/swarm/request", String, queue_size=5)
@@ -79,6 +81,7 @@ def main() -> None:
     sys.stdout.write(json.dumps({
         "hz": count / SECONDS, "requested_m": requested_m, "turn_rad_s": max(turned), "answers": answers,
         "after_rad_s": odometry[-1][1].twist.twist.angular.z, "frames": frames[-1:],
+        "scan_frame": scans[-1].header.frame_id, "scan": [min(each, 1e9) for each in scans[-1].ranges],
     }) + "\n")  # fmt: skip
 
 

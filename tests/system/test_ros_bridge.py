@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -30,6 +31,9 @@ endpoint = "{hub}"
 [world]
 address = "{world}"
 engine = "kinematic"
+bounds_m = [0.0, 0.0, 10.0, 10.0]
+[world.bodies.r2]
+ranges = {{ count = 8, max_m = 5.0, x_m = 0.1, sigma_m = 0.0, dropout = 0.0 }}
 [[robot]]
 id = "r1"
 pose = [2.0, 2.0, 0.0]
@@ -186,7 +190,28 @@ def test_ros_2_gets_odometry_at_20_hz_and_nothing_passes_between_the_two_zenohs(
     assert all(key.startswith("0/") for key in lab.ros.keys)
     static = lab.ros.late("tf_static", "tf2_msgs/msg/TFMessage")
     until(lambda: bool(static), what="the latched frames arrive")
-    assert {each.child_frame_id for each in static[-1].transforms} == {"r1/odom", "r2/odom"}
+    assert {each.child_frame_id for each in static[-1].transforms} == {"r1/odom", "r2/odom", "r2/ranges"}
+
+
+def test_ros_2_gets_the_scans_of_a_range_sensor(lab: Lab) -> None:
+    lab.ros.received["r2/scan"].clear()
+    took_s = until(lambda: len(lab.ros.received["r2/scan"]) > 10, 10.0, "scans arrive")
+    assert took_s > 1.7  # five a second
+    newest, robot = lab.ros.messages("r2/scan", "sensor_msgs/msg/LaserScan")[-1], lab.odometry("r2").pose.pose
+    heading_rad = 2.0 * math.atan2(robot.orientation.z, robot.orientation.w)
+    x_m, y_m = robot.position.x + 0.1 * math.cos(heading_rad), robot.position.y + 0.1 * math.sin(heading_rad)
+    assert newest.header.frame_id == "r2/ranges"
+    for k, distance_m in enumerate(newest.ranges):
+        angle_rad = heading_rad + newest.angle_min + k * newest.angle_increment
+        assert float(distance_m) == pytest.approx(to_wall_m(x_m, y_m, angle_rad), abs=0.02)
+
+
+def to_wall_m(x_m: float, y_m: float, angle_rad: float) -> float:
+    """Return how far the edge of the arena is, which is 10 m wide; infinite beyond the sensor's range."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    ways = [((10.0 if c > 0.0 else 0.0) - x_m) / c] if abs(c) > 1e-9 else []
+    ways += [((10.0 if s > 0.0 else 0.0) - y_m) / s] if abs(s) > 1e-9 else []
+    return min(ways) if min(ways) <= 5.0 else math.inf
 
 
 def test_cmd_vel_drives_a_robot_until_it_ends(lab: Lab) -> None:
@@ -266,6 +291,9 @@ def test_ros_1_gets_odometry_and_drives_by_request_and_velocity(lab: Lab, tmp_pa
         assert told["turn_rad_s"] > 0.3
         assert told["after_rad_s"] == 0.0
         assert told["frames"] == ["r1/odom"]
+        assert told["scan_frame"] == "r2/ranges"
+        assert len(told["scan"]) == 8
+        assert any(0.5 < each < 5.0 for each in told["scan"])
         bridge.send_signal(signal.SIGINT)
         assert bridge.communicate(timeout=20)[1].count("Traceback") == 0
         assert bridge.returncode == 0

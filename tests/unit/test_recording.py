@@ -6,7 +6,9 @@ The files are read by the library's own readers, protobuf by its own decoder and
 from __future__ import annotations
 
 import json
+import math
 import random
+import struct
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -25,7 +27,7 @@ from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
 from fullswarm.identity.access import TOPICS
 from fullswarm.keys import Keys
-from fullswarm.messages import CameraPicture, Message, RobotStates, SeenObstacles
+from fullswarm.messages import CameraPicture, Message, RangeReport, RobotStates, SeenObstacles, SensorScan
 from fullswarm.record.reading import contents, repair
 from fullswarm.record.recorder import FLUSH_S, LOG_BYTES, LogTail, Recorder, _schema
 from fullswarm.record.recording import MOST_CHANNELS, Attachment, Recording, Schema
@@ -241,6 +243,23 @@ def test_a_recorder_writes_messages_and_what_viewers_draw_of_them(tmp_path: Path
     assert not rig.failures
 
 
+def test_a_scan_is_recorded_once_as_viewers_show_it(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    scan = SensorScan(
+        sensor="front", mount=(0.1, 0.2, 1.0), robot_at=None, first_rad=-0.5, step_rad=0.25,
+        distances=struct.pack("<3H", 1234, 65534, 65535), max_m=4.0, stamp_s=6.9,
+    )  # fmt: skip
+    rig.air.say("s/range/report/r1", RangeReport(robot="r1", scans=(scan,), stamp_s=7.0))
+    rig.runtime.run(0.5)
+    found = rig.read()
+    assert [topic for topic in found if "r1" in topic] == ["/scan/r1/front"]
+    ((_, drawn),) = found["/scan/r1/front"]
+    assert (drawn.frame_id, drawn.start_angle, drawn.end_angle) == ("r1", -0.5, 0.0)
+    assert (drawn.pose.position.x, drawn.pose.position.y) == (0.1, 0.2)
+    assert list(drawn.ranges) == pytest.approx([1.234, math.inf, math.nan], nan_ok=True)
+    assert drawn.timestamp.seconds * 10**9 + drawn.timestamp.nanos == START_NS - 100_000_000
+
+
 def test_a_robot_that_is_gone_is_drawn_no_more(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     rig.air.say("s/state/all/r1", states(1.0))
@@ -257,11 +276,11 @@ def test_all_that_an_observer_may_receive_is_recorded(tmp_path: Path) -> None:
         for kind in topic.messages:
             key = topic.expression("r1").replace("*", "a")
             rig.air.say(f"s/{key}", wild.message(kind))
-            if "observer" in topic.receive and kind is not CameraPicture:
+            if "observer" in topic.receive and kind not in (CameraPicture, RangeReport):
                 sent[f"/{key}"] = sent.get(f"/{key}", 0) + 1
     rig.runtime.run(1.0)
     found = {topic: len(each) for topic, each in rig.read().items() if topic not in ("/tf", "/scene", "/robots")}
-    assert {topic: count for topic, count in found.items() if not topic.startswith("/camera/")} == sent
+    assert {topic: count for topic, count in found.items() if not topic.startswith(("/camera/", "/scan/"))} == sent
     assert rig.recorder.strange == 0
 
 

@@ -21,6 +21,7 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``stops.py``     tracks e-stops and stops: which robots have confirmed
 ``missions.py``  tracks missions: the newest state of each
 ``cameras.py``   tracks the cameras that see the robots, and encodes their pictures
+``scans.py``     sends pages the range scans of the robots they look at, and asks for them meanwhile
 ``history.py``   keeps what pages were shown, in compressed segments
 ``timeline.py``  lets pages look back: sends segments at a bounded rate
 ``bookmarks.py`` moments with a name, kept beside a recording
@@ -56,6 +57,7 @@ of ``index.html`` and a line in ``main.js``:
 ``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters; ``terms.js``: team, needs and roles;
                   ``refusals.js``: when a refusal's cause is gone; ``words.js``: titles, and states in words for people
 ``places.js``     places on the map: their list, keeping one, drawing; ``saved.js``: requests kept under a name
+``ranges.js``     what the range sensors of a few robots measure, on the map
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
 ``routes.js``     the missions on the map: places of their steps, numbered and joined
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration

@@ -14,6 +14,8 @@ LONGEST_INT = 2**53
 """Larger integers are not exact in JavaScript."""
 
 MOST_CHARTS = 6
+MOST_SCANNED = 4
+"""Robots whose range scans a page shows at a time."""
 
 Ref = Annotated[int, Meta(ge=0, le=LONGEST_INT)]
 Robot = Annotated[str, Meta(pattern=r"\A@?[A-Za-z0-9_-]{1,64}\Z")]
@@ -123,6 +125,12 @@ class Watch(Frame, frozen=True, kw_only=True):
     on: bool
 
 
+class Scans(Frame, frozen=True, kw_only=True):
+    """Show the range scans of these robots from now on; of none if there are none."""
+
+    robots: Annotated[tuple[Name, ...], Meta(max_length=MOST_SCANNED)] = ()
+
+
 class Look(Frame, frozen=True, kw_only=True):
     """Look at a moment of the past: `at`, in seconds of the frames' clock."""
 
@@ -214,7 +222,7 @@ class Ping(Frame, frozen=True, kw_only=True):
 Past = Look | Mark | Clip
 Command = (
     Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Inspect | Charts
-    | Undo | Group | Keep | HandOver | Experiment | Ping
+    | Scans | Undo | Group | Keep | HandOver | Experiment | Ping
 )  # fmt: skip
 
 

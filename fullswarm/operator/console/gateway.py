@@ -43,6 +43,7 @@ from fullswarm.operator.console.map import TRAIL_RATE_HZ, Coverage, Goals, HeldB
 from fullswarm.operator.console.missions import MissionBoard
 from fullswarm.operator.console.presence import Presence
 from fullswarm.operator.console.samples import SAMPLE_HZ, Samples
+from fullswarm.operator.console.scans import Scans
 from fullswarm.operator.console.sessions import ConsoleContext, Listener, OperatorSession
 from fullswarm.operator.console.stops import EStopTracker, StopTracker
 from fullswarm.operator.console.study import PLAN, StudyDesk, Swarm, TrialPlan, read_plan
@@ -131,12 +132,13 @@ class Gateway:
         self.experiments = None if identity.experiments is None or identity.study is not None else Experiments(
             identity.experiments, scheduler, identity.process, wall_s, self._send, self._note
         )  # fmt: skip
+        self._scans = Scans(bus, keys, scheduler, identity.process)
         self._context = ConsoleContext(
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,
             self._new_desk(bus, wall_s), self.timeline.handle, self._charts.handle,
             Known(self._asked, self._world.orders, self._world.record, self._world.title), self._note,
             lambda command, session: self._hand_overs.handle(command, session),
-            self.experiments,
+            self.experiments, self._scans,
         )  # fmt: skip
         self._desk = self._context.study
         self._presence = Presence(self._sessions.values, self._holders, wall_s)
@@ -249,6 +251,7 @@ class Gateway:
             self.experiments.close()
         self.timeline.close()
         self._charts.close()
+        self._scans.close()
         self._world.close()
         self.view.close()
 

@@ -280,8 +280,8 @@ NEWEST_WINS = frozenset(
     | {"experiments", "experiment_list"}
 )
 """Frames that are complete: a page that was busy needs only the last one."""
-PICTURES = "picture "
-"""How the kinds of pictures begin: of each camera the newest wins."""
+PICTURES, SCANS = "picture ", "scans "
+"""How the kinds of pictures and scans begin: of each camera and each robot the newest wins."""
 LONGEST = 1024
 """Number of other frames that may wait; a page that is further behind is too slow."""
 
@@ -307,7 +307,7 @@ class Outbox:
         """Keep a frame until it can be sent."""
         if self.overrun:
             return
-        if kind in NEWEST_WINS or kind.startswith(PICTURES):
+        if kind in NEWEST_WINS or kind.startswith((PICTURES, SCANS)):
             self._newest[kind] = text
         elif len(self._queue) < LONGEST:
             self._queue.append(text)

@@ -83,6 +83,14 @@ class ExperimentDesk(Protocol):
         ...
 
 
+class ScanDesk(Protocol):
+    """Sends pages the range scans of robots; see :class:`fullswarm.operator.console.scans.Scans`."""
+
+    def show(self, listener: Listener, robots: tuple[str, ...]) -> None:
+        """Send a page the scans of these robots from now on; of none: no more."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class ConsoleContext:
     """What all operator sessions share."""
@@ -101,6 +109,7 @@ class ConsoleContext:
     note: Callable[[str, str], None]  # logs what an operator has changed: text, name
     hand_over: Callable[[frames.HandOver, OperatorSession], str]  # carries it out, or returns why not
     experiments: ExperimentDesk | None = None  # None: this console offers none
+    scans: ScanDesk | None = None  # None: this console shows none
 
 
 class OperatorSession:
@@ -143,6 +152,8 @@ class OperatorSession:
         self.inspected.pop(listener, None)
         if self._context.experiments is not None:
             self._context.experiments.watch(listener, False)
+        if self._context.scans is not None:
+            self._context.scans.show(listener, ())
         if self._driver is listener or not self.listeners:
             self._blocked = ""
             self._release()
@@ -172,6 +183,8 @@ class OperatorSession:
             return self._inspect(ref, command.robot, listener)
         if isinstance(command, frames.Charts):
             return self._chart(command, listener)
+        if isinstance(command, frames.Scans):
+            return self._show_scans(command, listener)
         if isinstance(command, frames.Look):
             return self._context.look(command, listener, self.name)
         if isinstance(command, frames.Experiment):
@@ -258,6 +271,15 @@ class OperatorSession:
         if robot and listener in self.listeners:
             self.inspected[listener] = robot
         return Answer(ref=ref)
+
+    def _show_scans(self, command: frames.Scans, listener: Listener) -> Answer:
+        """Begin or end to send a page the scans of robots; whoever only looks on may look."""
+        scans = self._context.scans
+        if scans is None or self._context.study is not None:
+            return Answer(ref=command.ref, ok=False, reason=IN_STUDY)
+        if listener in self.listeners:
+            scans.show(listener, command.robots)
+        return Answer(ref=command.ref)
 
     def _chart(self, command: frames.Charts, listener: Listener) -> Answer:
         """Show a page charts: in a study only those that every page shows."""

@@ -22,7 +22,7 @@ export class Keyboard {
     /** @type {Record<string, () => void>} plain key → its action; the page's help lists them too */
     this.actions = {
       f: () => map.fit(), g: () => tools.use("goal"), o: () => tools.use("formation"), s: () => tools.use("select"), m: () => tools.use("measure"),
-      c: () => toolbar.layer("coverage"), t: () => toolbar.layer("trails"), d: () => theme.toggle(),
+      c: () => toolbar.layer("coverage"), t: () => toolbar.layer("trails"), r: () => map.ranges?.toggle(), d: () => theme.toggle(),
       b: () => byId("behaviour-search").focus(),
       "+": () => toolbar.zoom(1.3), "=": () => toolbar.zoom(1.3), "-": () => toolbar.zoom(1 / 1.3),
       "[": () => selection.stepRobot(-1), "]": () => selection.stepRobot(1),

@@ -11,7 +11,7 @@
  *           study.js (the dialogs of a study); words.js (words for people), summary.js (the fleet in words, spoken),
  *           layout.js (tabs, menus), logfilter.js (which lines of the log), people.js (operators, hand-over), guide.js (the first
  *           minute), tips.js (tooltips), experiments.js (in place of a panel)
- * map       map.js (the loop), routes.js (missions), underlay.js, ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js,
+ * map       map.js (the loop), routes.js (missions), underlay.js, ranges.js (scans), ground.js (below the robots), robots.js, labels.js, sprites.js, tools.js,
  *           pointer.js, toolbar.js, viewport.js, geometry.js, palette.js, theme.js
  * time      past.js (plays the past into the store that is shown), timeline.js (the bar below the map),
  *           marks.js (bookmarks, clips)
@@ -44,6 +44,7 @@ import { Past } from "./past.js";
 import { Places } from "./places.js";
 import { People } from "./people.js";
 import { Pointer } from "./pointer.js";
+import { Ranges } from "./ranges.js";
 import { Routes } from "./routes.js";
 import { SavedRequests } from "./saved.js";
 import { Selection } from "./selection.js";
@@ -107,6 +108,7 @@ map.routes = routes;
 new Missions({ store, commands, routes });
 new CameraView({ store: present, link, map, past });
 new Experiments({ store: present, link });
+map.ranges = new Ranges({ store: present, link, map, selection, detail, past });
 new Study({ store: present, link, selection, map, tools });
 const timeBar = new TimeBar({ past, present, commands });
 new Marks({ past, present, link, bar: timeBar });
@@ -204,6 +206,7 @@ window.fullswarm = Object.freeze({
     return {
       robots, docks: structuredClone(store.docks), selection: selection.list(),
       goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
+      ranges: map.ranges?.hits ?? {},
       ruler: tools.ruler && rulerWords(tools.ruler.from, tools.ruler.to),
       labels: map.robots.labels.filter(({ shown }) => shown).map(({ key, words, left, top, width, height }) => ({ key, words, left, top, width, height })),
       operator: present.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), log: store.log.length,

@@ -32,6 +32,7 @@ export class SwarmMap {
     this.underlay = /** @type {import("./underlay.js").Underlay | null} */ (null);
     this.picture = /** @type {import("./floorpicture.js").FloorPicture | null} */ (null);
     this.routes = /** @type {import("./routes.js").Routes | null} */ (null);
+    this.ranges = /** @type {import("./ranges.js").Ranges | null} */ (null);
     this.tool = /** @type {import("./tools.js").Tools | null} */ (null);
     this.hovered = /** @type {string | null} */ (null);
     this.old = false; // data is old: veiled
@@ -173,6 +174,7 @@ export class SwarmMap {
     this.drawn_s = this.store.clock.drawn(performance.now() / 1000);
     this.robots.place(this.store, this.view, this.drawn_s);
     this.routes?.draw(scene, this.placed);
+    this.ranges?.draw(scene);
     drawGoals(scene, this.placed);
     this.robots.draw(scene, this.selection, this.hovered, this.routes?.labels ?? []);
     if (this.old) {

@@ -6,7 +6,7 @@ import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
 /** @import { HandOverFrame, OffersFrame, PresenceFrame } from "./types.d.ts" */
-/** @import { Behaviour, Bookmark, Box, Camera, Catalogue, ClipFrame, Coverage, Detail, Dock, Entry, Estop, ExperimentList, ExperimentsFrame, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Picture, Place, Point, RequestStatus, Robot, Rows, SavedRequest, Series, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
+/** @import { Behaviour, Bookmark, Box, Camera, Catalogue, ClipFrame, Coverage, Detail, Dock, Entry, Estop, ExperimentList, ExperimentsFrame, Fleet, Goal, Hello, History, Lease, Lost, Message, Mission, MissionReply, NodeState, Picture, Place, Point, RequestStatus, Robot, Rows, SavedRequest, Scan, Series, States, Stop, Study, TimeEvent, TimelineFrame, UnderlayFrame, UndoFrame, World } from "./types.d.ts" */
 
 const COUNTED = new Intl.Collator("en", { numeric: true }); // ten times as fast as localeCompare
 const LOG_KEPT = 500;
@@ -14,7 +14,7 @@ const LOG_KEPT = 500;
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, coverage,
  * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study,
- * underlay, cameras, picture, undo, detail, presence, offers, handover, catalogue, series, rows, experiments,
+ * underlay, cameras, picture, scans, undo, detail, presence, offers, handover, catalogue, series, rows, experiments,
  * experiment_list; timeline, history,
  * events (all), event, bookmarks, clip.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
@@ -22,6 +22,7 @@ const LOG_KEPT = 500;
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
  *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study,
  *   underlay: UnderlayFrame, cameras: Camera[], picture: Picture,
+ *   scans: {t: "scans", robot: string, scans: Scan[]},
  *   undo: UndoFrame, detail: Detail, timeline: TimelineFrame, history: History, events: TimeEvent[], event: TimeEvent,
  *   bookmarks: {bookmarks: Bookmark[], clips: string}, clip: ClipFrame,
  *   experiments: ExperimentsFrame, experiment_list: ExperimentList, catalogue: Catalogue, series: Series, rows: Rows, presence: PresenceFrame, offers: OffersFrame, handover: HandOverFrame}>}
@@ -148,6 +149,7 @@ export class Store extends Emitter {
     underlay: (message) => this.emit("underlay", message),
     cameras: ({ cameras }) => this.emit("cameras", cameras),
     picture: (message) => this.emit("picture", message),
+    scans: (message) => this.emit("scans", message),
     timeline: (message) => this.emit("timeline", message),
     history: (message) => this.emit("history", message),
     events: ({ events }) => this.emit("events", events),

@@ -356,6 +356,17 @@ export interface ClipFrame {
   name: string;
 }
 
+/** One scan of a range sensor: rays at equal angles, counter-clockwise. */
+export interface Scan {
+  at: [x_m: number, y_m: number, heading_rad: number]; // of the sensor, in the world, when it measured
+  first_rad: number; // from the sensor's own x axis
+  step_rad: number;
+  cone_rad: number; // each ray's field of view; 0: a narrow ray
+  max_m: number;
+  age_s: number; // when it was sent
+  mm: string; // base64: distances, two bytes each
+}
+
 /** What undoes the newest request; words and refusal empty: there is nothing to undo. */
 export interface UndoFrame {
   t: "undo";
@@ -553,6 +564,7 @@ export type Message =
   | UnderlayFrame
   | { t: "cameras"; cameras: Camera[] }
   | Picture
+  | { t: "scans"; robot: string; scans: Scan[] }
   | TimelineFrame
   | History
   | { t: "events"; events: TimeEvent[] }
