@@ -11,7 +11,7 @@ import { byId, setFlag } from "./dom.js";
 const MOST = 4; // robots
 const OLD_S = 1;
 const NOTHING = 0xfffe; // in place of a distance: nothing within range; above: not measured
-const DOT_PX = 2.5;
+const DOT_PX = 2; // whole, and placed so: edges between pixels take longer to draw
 const APART_PX = 2; // dots are no closer than this: zoomed out, a wall is a line of fewer of them
 const FAN_ALPHA = 0.1, DOT_ALPHA = 0.9;
 
@@ -136,8 +136,17 @@ function drawFan({ context, view, colours }, { at, first_rad, step_rad, cone_rad
     if (mm[k] > NOTHING) continue;
     const reach_px = (mm[k] === NOTHING ? max_m : mm[k] / 1000) * view.scale;
     const angle = at[2] + first_rad + k * step_rad; // y points up in the world and down on the screen
-    context.moveTo(x_px, y_px);
-    context.arc(x_px, y_px, reach_px, -angle - half_rad, -angle + half_rad);
+    if (cone_rad > 0) {
+      context.moveTo(x_px, y_px);
+      context.arc(x_px, y_px, reach_px, -angle - half_rad, -angle + half_rad);
+      continue;
+    }
+    // Of narrow rays, one outline through the ends of neighbours: an arc for each takes several times as long.
+    if (k === 0 || mm[k - 1] > NOTHING) context.moveTo(x_px, y_px);
+    for (const side_rad of [angle - half_rad, angle + half_rad]) {
+      context.lineTo(x_px + reach_px * Math.cos(side_rad), y_px - reach_px * Math.sin(side_rad));
+    }
+    if (mm[k + 1] > NOTHING) context.closePath();
   }
   context.fill();
 }
@@ -164,6 +173,6 @@ function drawHits({ context, view, colours }, { at, first_rad, step_rad, cone_ra
     const [x, y] = view.toScreen(at[0] + reach_m * Math.cos(angle), at[1] + reach_m * Math.sin(angle));
     if (Math.abs(x - last_x) < APART_PX && Math.abs(y - last_y) < APART_PX) continue;
     [last_x, last_y] = [x, y];
-    context.fillRect(x - DOT_PX / 2, y - DOT_PX / 2, DOT_PX, DOT_PX);
+    context.fillRect(Math.round(x - DOT_PX / 2), Math.round(y - DOT_PX / 2), DOT_PX, DOT_PX);
   }
 }
