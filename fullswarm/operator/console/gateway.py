@@ -132,7 +132,7 @@ class Gateway:
         self.experiments = None if identity.experiments is None or identity.study is not None else Experiments(
             identity.experiments, scheduler, identity.process, wall_s, self._send, self._note
         )  # fmt: skip
-        self._scans = Scans(bus, keys, scheduler, identity.process)
+        self._scans = Scans(bus, keys, scheduler, identity.process, self._drawing)
         self._context = ConsoleContext(
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,
             self._new_desk(bus, wall_s), self.timeline.handle, self._charts.handle,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from fullswarm.bus.base import Bus
@@ -28,9 +30,18 @@ class Scans:
     Parameters
     ----------
     source : unique to this console
+    drawing : keeps what cannot be shown from ending the process, given its name
     """
 
-    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, source: str) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        scheduler: Scheduler,
+        source: str,
+        drawing: Callable[[str], AbstractContextManager[object]] = nullcontext,
+    ) -> None:
+        self._drawing = drawing
         self._shown: dict[Listener, tuple[str, ...]] = {}
         self._watch = ScanWatch(bus, keys, scheduler, source, self._on_report)
 
@@ -51,6 +62,10 @@ class Scans:
         listeners = [listener for listener, robots in self._shown.items() if report.robot in robots]
         if not listeners:
             return
+        with self._drawing("scans"):
+            self._send(report, listeners)
+
+    def _send(self, report: RangeReport, listeners: list[Listener]) -> None:
         shown = [each for each in (_scan(report, scan) for scan in report.scans) if each is not None]
         text = frames.encode({"t": "scans", "robot": report.robot, "scans": shown})
         for listener in listeners:
