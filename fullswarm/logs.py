@@ -22,10 +22,8 @@ class Logger:
     def __getattr__(self, method: str) -> Any:
         import structlog
 
-        global _when_loaded
         if _when_loaded is not None:
-            warnings_only, _when_loaded = _when_loaded, None
-            log_to_stderr(warnings_only=warnings_only)
+            log_to_stderr(warnings_only=_when_loaded)
         return getattr(structlog.get_logger(*self._names), method)
 
 
@@ -38,6 +36,7 @@ def log_to_stderr(*, warnings_only: bool = False, at_once: bool = True) -> None:
     if not at_once and "structlog" not in sys.modules:
         _when_loaded = warnings_only
         return
+    _when_loaded = None
     import structlog
 
     # Looked up at each line: a redirected stderr, a test's for one, may be closed again.

@@ -309,8 +309,8 @@ class MissionReply(Message, frozen=True, kw_only=True):
     problems: Annotated[tuple[MissionProblem, ...], Meta(max_length=MOST)] = ()
 
 
-MOST_PLACE_POINTS = 64
-"""Points of a place that are shown; a behaviour may have more."""
+MOST_PLACES, MOST_PLACE_POINTS = 16, 64
+"""Places of a step that are shown, and points of a place; a behaviour may have more."""
 
 
 class StepPlace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -333,7 +333,9 @@ class StepStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     waits_for: Annotated[tuple[str, ...], Meta(max_length=64)] = ()  # conditions that do not hold yet, for people
     confirm: str = ""  # what an operator is to confirm now; empty: nothing
     reason: str = ""  # why it failed or is paused
-    places: Annotated[tuple[StepPlace, ...], Meta(max_length=16)] = ()  # on the map, as far as its parameters name some
+    places: Annotated[
+        tuple[StepPlace, ...], Meta(max_length=MOST_PLACES)
+    ] = ()  # on the map, as far as its parameters name some
 
 
 class TrackStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -508,6 +510,7 @@ class TruePoses(Message, frozen=True, kw_only=True):
 
 
 MOST_MESH = 4096
+"""Points of a camera's grid at most."""
 
 
 class FloorMesh(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -520,9 +523,8 @@ class FloorMesh(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     rows: Annotated[int, Meta(ge=1, le=256)]
     x_m: Annotated[tuple[Metres | None, ...], Meta(max_length=MOST_MESH)]
     y_m: Annotated[tuple[Metres | None, ...], Meta(max_length=MOST_MESH)]
-    eye_m: tuple[
-        Metres, Metres, Annotated[float, Meta(gt=0.0, le=1e4)]
-    ]  # the camera, to draw on a plane above the floor
+    # The camera's own place, x, y and height, to draw on a plane above the floor.
+    eye_m: tuple[Metres, Metres, Annotated[float, Meta(gt=0.0, le=1e4)]]
     tops_m: HalfSize  # height of the robots' tags
 
 

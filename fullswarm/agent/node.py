@@ -473,7 +473,7 @@ class AgentNode:
         return self._reports.health(self._loop(), __version__, now_s, self.core_clock)
 
     def _report(self) -> None:
-        """Publish what is published seldom: somebody has asked."""
+        """Publish, on request, what is otherwise published seldom."""
         self.profiles.report()
         self._publish_for_people()
         self._dirty = True

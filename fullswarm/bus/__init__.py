@@ -17,7 +17,7 @@ Files:
 ``network_faults.py``  injected faults of the network: their text, and a bus that loses, delays, doubles, reorders and
                        partitions
 ``refusals.py``        logs what a secured hub refuses, by certificate
-``report_query.py``    has a node publish at once, when asked, what it publishes seldom
+``report_query.py``    has a node publish on request what it otherwise publishes seldom
 ``renewal.py``         starts the renewal of certificates in a process
 ``tls.py``             settings of a secured link, and why a client and a secured hub do not connect
 ``versions.py``        finds processes of another release, whose messages this one cannot read

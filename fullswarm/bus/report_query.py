@@ -1,4 +1,4 @@
-"""Has a node publish at once, when somebody asks, what it otherwise publishes seldom. In: ReportQuery."""
+"""Has a node publish on request what it otherwise publishes seldom. In: ReportQuery."""
 
 from __future__ import annotations
 

@@ -220,8 +220,6 @@ def _collect(target: Target, ids: tuple[str, ...] = ()) -> Snapshot:
                 connection.finish()
 
         connection.runtime.every(LOOK_S, look)
-        import fullswarm.operator.render  # noqa: F401  (takes as long as the answers, which arrive meanwhile)
-
         connection.run(COLLECT_S)
         return _only(view, ids)
 

@@ -32,6 +32,7 @@ from fullswarm.core.roster import Roster
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import ROBOT_ID, Keys
 from fullswarm.messages import (
+    MOST_PLACES,
     STOP,
     BehaviourRequest,
     MissionPlan,
@@ -56,8 +57,6 @@ SHOWN_S = 30.0
 """The status of a mission that has ended is repeated for so long."""
 LOST_S = 5.0
 """A robot that is absent for longer than this fails the step that needs it. It includes the restart of an agent."""
-MOST_PLACES = 16
-"""Of a step that are sent."""
 MOST = 16
 """Missions that are remembered; a new one replaces the oldest that has ended."""
 STATE, PLAN = "mission/", "mission-plan/"

@@ -129,6 +129,7 @@ class Supervisor:
     on_end: Callable[[Child], None] | None = None
     children: dict[str, Child] = field(default_factory=dict)
     _reports: tuple[Bus, str, str] | None = None  # bus, key, host
+    _on_query: ReportsOnQuery | None = None
     _reported_s: float = -REPORT_S
     _watched_s: float = 0.0
     _run: RunFolder = field(default_factory=RunFolder)
@@ -213,7 +214,7 @@ class Supervisor:
         host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname())[:64]
         named, keys = NamedBus(bus, CORE), Keys(self.config.swarm)
         self._reports = named, keys.processes(host), host
-        ReportsOnQuery(named, keys, self.scheduler, self._report_soon)
+        self._on_query = ReportsOnQuery(named, keys, self.scheduler, self._report_soon)
 
     def _report_soon(self) -> None:
         self._reported_s = -REPORT_S
@@ -226,6 +227,8 @@ class Supervisor:
     def close(self) -> None:
         """End all: robots first, so that each stops its own wheels while the rest is still there. Remove the folder."""
         self._closed = True
+        if self._on_query is not None:
+            self._on_query.close()
         if self._spare is not None:
             self._spare.close()
             self._spare = None

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, FloatRect, expect
 
 from tests.browser.axe import violations
 from tests.browser.conftest import SIZE
@@ -83,15 +83,15 @@ def test_a_hit_is_drawn_where_it_is_and_a_scan_vanishes_within_a_second(console:
     assert sum(abs(a - b) for a, b in zip(before, drawn, strict=True)) > 100
     console.until(lambda: console.state["ranges"] == {}, 3.0, "it has vanished")
     console.until(lambda: colour(console, *place) == before, 2.0, "the map is as before")
-    scan(console, "r2", hits)  # of a robot that nobody looks at
+    scan(console, "r2", hits)  # of a robot that is not selected
     assert console.state["ranges"] == {}
 
 
 def colour(console: Console, x_m: float, y_m: float) -> tuple[int, ...]:
     """Return the colour of the page at a place of the world."""
     x, y = console.page.evaluate("([x, y]) => window.fullswarm.toScreen(x, y)", [x_m, y_m])
-    clip = {"x": round(x) - 1, "y": round(y) - 1, "width": 3, "height": 3}
-    picture = Image.open(io.BytesIO(console.page.screenshot(clip=clip))).convert("RGB")  # type: ignore[arg-type]
+    clip = FloatRect(x=round(x) - 1, y=round(y) - 1, width=3, height=3)
+    picture = Image.open(io.BytesIO(console.page.screenshot(clip=clip))).convert("RGB")
     pixels = np.asarray(picture).reshape(-1, 3)
     return tuple(int(each) for each in pixels[pixels[:, 2].argmin()])
 

@@ -28,3 +28,14 @@ def test_a_logger_loads_structlog_with_its_first_line_and_writes_to_stderr() -> 
     assert "number" in ran.stderr
     assert "wanted now" in ran.stderr
     assert "not wanted" not in ran.stderr
+
+
+def test_a_later_choice_counts() -> None:
+    program = """
+from fullswarm.logs import Logger, log_to_stderr
+log_to_stderr(warnings_only=True, at_once=False)
+log_to_stderr()
+Logger().info("all lines")
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert (ran.stdout, "all lines" in ran.stderr) == ("", True)

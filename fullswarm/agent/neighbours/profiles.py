@@ -169,7 +169,7 @@ class Profiles:
                 self._waiting[profile.robot] = profile
 
     def report(self) -> None:
-        """Publish the profiles now: somebody has asked."""
+        """Publish the profiles now, on request."""
         self._asked, self._looked_s = True, -math.inf
         self.update(self._scheduler.now_s())
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from typing import Any
 
 from fullswarm.bus.base import Bus
@@ -39,7 +39,7 @@ class Scans:
         keys: Keys,
         scheduler: Scheduler,
         source: str,
-        drawing: Callable[[str], AbstractContextManager[object]] = nullcontext,
+        drawing: Callable[[str], AbstractContextManager[object]],
     ) -> None:
         self._drawing = drawing
         self._shown: dict[Listener, tuple[str, ...]] = {}
