@@ -122,7 +122,8 @@ def main() -> int:
     share = took_s / agents_s
     print(
         f"{given.robots} robots: at most {max(losses, default=0.0):.3f} s lost; recorder {took_s / given.seconds:.1%} "
-        f"of a core, agents {agents_s / given.seconds / given.robots:.1%} each: {share:.1%} of an agent's time per robot; "
+        f"of a core, agents {agents_s / given.seconds / given.robots:.1%} each: "
+        f"{share:.1%} of an agent's time per robot; "
         f"{size_mb / given.seconds * 60:.1f} MB a minute"
     )
     good = max(losses, default=0.0) < LOSS_S and share <= SHARE
