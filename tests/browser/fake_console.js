@@ -154,5 +154,5 @@
     line.say({ t: "detail", robot, at: 1, pose, motion: [[-5, 0.3, 0.3], [0, 0.1, 0.1]], battery: [[-100, 0.6], [0, 0.5]], messages: [], requests: [], ...more });
   }
 
-  window.fake = { detail, sent, swarm, skip, ids, say: (message) => line.say(message), tick: () => line.tick() };
+  window.fake = { detail, sent, swarm, world, skip, ids, say: (message) => line.say(message), tick: () => line.tick() };
 }

@@ -160,6 +160,29 @@ def missions(console: Console) -> Iterator[None]:
 
 
 @contextmanager
+def mission_form(console: Console) -> Iterator[None]:
+    """A mission of points that is being made."""
+    show(console, "fleet")
+    console.select(["r2", "r3"])
+    show(console, "missions")
+    toggle = console.named("missions-toggle")
+    if toggle.is_visible() and toggle.get_attribute("aria-pressed") == "false":
+        toggle.click()
+    console.named("mission-new").click()
+    for _ in range(7):
+        console.page.evaluate("document.querySelector('#map').focus()")
+        console.page.keyboard.press("ArrowRight")
+        console.page.keyboard.press("ArrowUp")
+        console.page.keyboard.press("Enter")
+    expect(console.page.locator("#mission-points li")).to_have_count(7)
+    yield
+    console.named("mission-cancel").click()
+    console.press("Escape")
+    if toggle.is_visible():
+        toggle.click()
+
+
+@contextmanager
 def cameras(console: Console) -> Iterator[None]:
     """The cameras, one with a problem, in place of a panel."""
     problem = "the camera has moved: no fixes until it hangs still and its floor tags are visible"
@@ -319,7 +342,8 @@ def log(console: Console) -> Iterator[None]:
 
 STATES: dict[str, State] = {
     "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
-    "question": question, "missions": missions, "cameras": cameras, "bookmarks": bookmarks, "stick": stick,
+    "question": question, "missions": missions, "mission_form": mission_form, "cameras": cameras,
+    "bookmarks": bookmarks, "stick": stick,
     "charts": charts, "lines": lines, "chart form": chart_form, "details": details, "log": log,
     "experiments": experiments, "experiment": experiment, "experiment_stopped": experiment_stopped,
 }  # fmt: skip

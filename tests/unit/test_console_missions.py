@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import pytest
 
 from fullswarm.messages import MissionReply, MissionRequest, MissionStatus, StepStatus, TrackStatus
@@ -85,6 +86,73 @@ def test_a_page_controls_a_mission_and_learns_why_not(bench: ConsoleBench) -> No
     assert len(sent) == count
 
 
+PLAN = {
+    "name": "route-1",
+    "tracks": [
+        {
+            "name": "main",
+            "steps": [
+                {
+                    "name": f"point {number}", "behaviour": "move_to_goal_bc", "robots": ["r1", "r2"],
+                    "parameters": {"goal": [float(number), 2.0]}, "done": {"arrived": "all"},
+                }
+                for number in (1, 2)
+            ],
+        }
+    ],
+}  # fmt: skip
+
+
+def test_a_page_starts_a_mission_and_learns_why_not(bench: ConsoleBench) -> None:
+    page, session = bench.join()
+    sent = asked(bench)
+    answer = bench.say(session, page, "startmission", plan=PLAN, take=True)
+    bench.run(0.1)
+    first = sent[0]
+    assert (first.op, first.mission, first.take, first.id) == ("start", "", True, answer["request_id"])
+    assert first.plan is not None
+    assert msgspec.json.decode(msgspec.json.encode(first.plan)) == PLAN
+    reply = MissionReply(id=first.id, ok=False, reason="there is no robot 'r2'", code="unknown-robot")
+    bench.bus.publish(KEYS.mission_reply(first.id), reply)
+    bench.run(0.1)
+    told = page.last("mission")
+    assert (told["op"], told["mission"], told["ok"], told["reason"]) == (
+        "start", "route-1", False, "there is no robot 'r2'",
+    )  # fmt: skip
+
+
+def test_a_mission_that_no_core_answers_is_not_started_by_a_later_one(bench: ConsoleBench) -> None:
+    page, session = bench.join()
+    sent = asked(bench)
+    bench.say(session, page, "startmission", plan=PLAN)
+    bench.run(MISSION_S + 0.1)
+    assert not page.last("mission")["ok"]
+    count = len(sent)
+    bench.run(5.0)
+    assert len(sent) == count
+
+
+def changed(**step: object) -> dict[str, object]:
+    """Return the plan with one step, which has these fields."""
+    found = PLAN["tracks"][0]["steps"][0] | step  # type: ignore[index]
+    return {"name": "route-1", "tracks": [{"name": "main", "steps": [found]}]}
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [
+        None, {}, {"name": "n" * 65, "tracks": []}, changed(unknown=1), changed(fail_after_s=-1.0),
+        changed(parameters={"gain": 2**60}), changed(done={"arrived": "some"}),
+    ],
+)  # fmt: skip
+def test_what_is_no_mission_is_refused(bench: ConsoleBench, plan: object) -> None:
+    page, session = bench.join()
+    sent = asked(bench)
+    assert not bench.say(session, page, "startmission", plan=plan)["ok"]
+    bench.run(1.0)
+    assert sent == []
+
+
 def test_a_request_that_no_core_answers_is_given_up(bench: ConsoleBench) -> None:
     page, session = bench.join()
     sent = asked(bench)
@@ -107,5 +175,6 @@ def test_a_console_for_looking_controls_nothing() -> None:
     page, session = bench.join()
     sent = asked(bench)
     assert not bench.say(session, page, "mission", op="abort", mission="m1")["ok"]
+    assert not bench.say(session, page, "startmission", plan=PLAN)["ok"]
     bench.run(1.0)
     assert sent == []

@@ -362,6 +362,7 @@ def test_a_driver_does_all_but_clear_an_estop_and_take_robots_over(bench: Consol
         "lease": bench.say(session, page, "lease", robots=["r1"], hold=True, take=True),
         "request": bench.say(session, page, "request", behaviour="move_to_goal_bc", take=True),
         "mission": bench.say(session, page, "mission", op="resume", mission="m1", take=True),
+        "startmission": bench.say(session, page, "startmission", plan={"name": "route", "tracks": []}, take=True),
     }
     assert {t: (each["ok"], "driver" in each["reason"]) for t, each in refused.items()} == dict.fromkeys(
         refused, (False, True)

@@ -59,6 +59,7 @@ of ``index.html`` and a line in ``main.js``:
 ``places.js``     places on the map: their list, keeping one, drawing; ``saved.js``: requests kept under a name
 ``ranges.js``     what the range sensors of a few robots measure, on the map
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
+``missionform.js``  a new mission of points that are picked on the map
 ``routes.js``     the missions on the map: places of their steps, numbered and joined
 ``layout.js``     tabs, menus that fold away, the side of the stick; ``signals.js``: sound and vibration
 ``summary.js``    the fleet in words

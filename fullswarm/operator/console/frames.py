@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from fullswarm.messages import Needs, Roles, TeamName, Value
+from fullswarm.messages import MissionPlan, Needs, Roles, TeamName, Value
 
 MAX_BYTES = 64 * 1024
 LONGEST_INT = 2**53
@@ -98,6 +98,13 @@ class Mission(Frame, frozen=True, kw_only=True):
     mission: Annotated[str, Meta(min_length=1, max_length=64)]
     track: Annotated[str, Meta(max_length=64)] = ""
     step: Annotated[str, Meta(max_length=64)] = ""
+    take: bool = False
+
+
+class StartMission(Frame, frozen=True, kw_only=True):
+    """Start a mission, which the core checks as it does one from a file."""
+
+    plan: MissionPlan
     take: bool = False
 
 
@@ -221,8 +228,8 @@ class Ping(Frame, frozen=True, kw_only=True):
 
 Past = Look | Mark | Clip
 Command = (
-    Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Watch | Past | Inspect | Charts
-    | Scans | Undo | Group | Keep | HandOver | Experiment | Ping
+    Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | StartMission | Input | Study | Watch | Past
+    | Inspect | Charts | Scans | Undo | Group | Keep | HandOver | Experiment | Ping
 )  # fmt: skip
 
 
@@ -272,12 +279,15 @@ def read_command(text: str | bytes) -> Command | Answer:
         return Answer(ref=_reference(text), ok=False, reason=f"malformed frame: {error}"[:300])
     match command:
         case Drive():
-            given = command.fixed
+            given = list(command.fixed.items())
         case Request():
-            given = command.parameters
+            given = list(command.parameters.items())
+        case StartMission():
+            steps = (step for track in command.plan.tracks for step in track.steps)
+            given = [item for step in steps for item in step.parameters.items()]
         case _:
-            given = {}
-    for name, value in given.items():
+            given = []
+    for name, value in given:
         if not fits(value):
             return Answer(ref=command.ref, ok=False, reason=f"{name} is too large a number or too long a text")
     return command

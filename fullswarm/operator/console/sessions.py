@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from fullswarm.bus.base import Bus
@@ -31,7 +32,7 @@ DEAD_MAN_S = 0.25
 """After this long without a frame the stick counts as released."""
 WATCH_S = 0.05
 MISSION_S = 5.0
-"""A request that the core has not answered by then is given up: it must not resume a mission later."""
+"""A request that the core has not answered by then is given up: it must not start or resume a mission later."""
 CLEAR_S = 5.0
 """A forgotten page must not release a robot that comes back tomorrow; an e-stop is repeated without end."""
 
@@ -44,6 +45,7 @@ NOT_OFFERED = "this console offers no experiments"
 NO_GROUPS = "your token is that of a driver: it makes no groups"
 NO_KEEPING = "your token is that of a driver: it keeps no places and no requests"
 IN_STUDY = "this is not offered in a study"
+NOT_IN_STUDY = (frames.StartMission, frames.Undo, frames.Group, frames.Keep, frames.HandOver)
 
 
 def refusal_of(role: Role, *, clears: bool = False, takes: bool = False) -> str:
@@ -56,7 +58,7 @@ def refusal_of(role: Role, *, clears: bool = False, takes: bool = False) -> str:
 
 
 def _takes(command: frames.Command) -> bool:
-    return isinstance(command, frames.Request | frames.Lease | frames.Mission) and command.take
+    return isinstance(command, frames.Request | frames.Lease | frames.Mission | frames.StartMission) and command.take
 
 
 class Listener(Protocol):
@@ -200,7 +202,7 @@ class OperatorSession:
         if isinstance(command, frames.Study):
             reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"
             return Answer(ref=ref, ok=not reason, reason=reason)
-        if desk is not None and isinstance(command, frames.Undo | frames.Group | frames.Keep | frames.HandOver):
+        if desk is not None and isinstance(command, NOT_IN_STUDY):
             return Answer(ref=ref, ok=False, reason=IN_STUDY)
         if desk is not None and (reason := desk.refusal(command)):
             return Answer(ref=ref, ok=False, reason=reason)
@@ -249,7 +251,7 @@ class OperatorSession:
                 reason = self._lease(command)
             case frames.Request():
                 return self._request(command)
-            case frames.Mission():
+            case frames.Mission() | frames.StartMission():
                 return self._mission(command)
             case frames.Undo():
                 reason = self._undo(command)
@@ -387,21 +389,24 @@ class OperatorSession:
 
         return self._context.world.keep(f"{command.what}/{command.name}", value, self.name, receive)
 
-    def _mission(self, command: frames.Mission) -> Answer:
-        """Pass it to the core, whose reply follows as a frame of its own."""
+    def _mission(self, command: frames.Mission | frames.StartMission) -> Answer:
+        """Pass it to the core, whose reply follows as a frame of its own; that of a new mission has its name."""
+        if isinstance(command, frames.StartMission):
+            op, mission, ask = "start", command.plan.name, partial(self._missions.ask, "start", plan=command.plan)
+        else:
+            op, mission = command.op, command.mission
+            ask = partial(self._missions.ask, op, mission=mission, track=command.track, step=command.step)
 
         def receive(reply: MissionReply) -> None:
             told = {"request_id": reply.id, "ok": reply.ok, "reason": reply.reason, "code": reply.code}
-            self.send("mission", {"t": "mission", "op": command.op, "mission": command.mission, **told})
+            self.send("mission", {"t": "mission", "op": op, "mission": mission, **told})
 
         def give_up() -> None:
             if pending.reply is None:
                 self._missions.forget(pending)
                 receive(MissionReply(id=pending.request.id, ok=False, reason="the core does not answer"))
 
-        pending = self._missions.ask(
-            command.op, receive, mission=command.mission, track=command.track, step=command.step, take=command.take
-        )
+        pending = ask(receive, take=command.take)
         self._context.scheduler.after(MISSION_S, give_up)
         return Answer(ref=command.ref, request_id=pending.request.id)
 

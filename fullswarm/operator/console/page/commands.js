@@ -46,7 +46,8 @@ export class Commands extends Emitter {
     return super.emit("refused", { ...refused, behaviour: titleOf(this.store.behaviours, refused.behaviour) });
   }
 
-  #mine = /** @type {Map<string, () => void>} */ (new Map()); // request id → how to repeat it
+  // Request id → how to repeat it, and the robots of a mission to start, which is in no list yet.
+  #mine = /** @type {Map<string, {again: () => void, robots: string[]}>} */ (new Map());
 
   /**
    * Request a behaviour; no robots: the whole swarm.
@@ -76,13 +77,23 @@ export class Commands extends Emitter {
    * @param {Point} point
    */
   goal(robots, point) {
+    return this.request(this.goalBehaviour, robots, this.#toPoint(this.goalBehaviour, robots, point));
+  }
+
+  /**
+   * Return the parameters that send robots to a point.
+   * @param {string} behaviour
+   * @param {string[]} robots
+   * @param {Point} point
+   */
+  #toPoint(behaviour, robots, point) {
     const parameters = /** @type {Record<string, unknown>} */ ({ goal: point.map(round) });
-    const record = this.store.behaviours[this.goalBehaviour];
+    const record = this.store.behaviours[behaviour];
     if (robots.length > 1 && record?.parameters?.arrive_radius_m) {
       const widest = Math.max(...robots.map((id) => this.store.radius(id)));
       parameters.arrive_radius_m = goalRadius(robots.length, widest);
     }
-    return this.request(this.goalBehaviour, robots, parameters);
+    return parameters;
   }
 
   /**
@@ -162,6 +173,30 @@ export class Commands extends Emitter {
   }
 
   /**
+   * Start a mission that sends robots from point to point: each step is over when all have arrived.
+   * @param {string} name
+   * @param {string} behaviour
+   * @param {string[]} robots
+   * @param {Point[]} points
+   * @param {boolean} [take]
+   * @returns {Promise<Answer | void>}
+   */
+  async startRoute(name, behaviour, robots, points, take = false) {
+    const what = `mission ${name}`;
+    if (this.withheld) return this.emit("refused", { behaviour: what, reason: this.withheld, robots });
+    const again = () => this.startRoute(name, behaviour, robots, points, true);
+    const holders = this.store.heldByOthers(robots);
+    if (holders.size && !take) return this.emit("question", { holders, take: again });
+    const steps = points.map((point, k) => ({
+      name: `point ${k + 1}`, behaviour, robots, parameters: this.#toPoint(behaviour, robots, point), done: { arrived: "all" },
+    }));
+    const answer = await this.link.ask({ t: "startmission", plan: { name, tracks: [{ name: "main", steps }] }, take });
+    if (answer.request_id) this.#remember(answer.request_id, again, robots);
+    if (!answer.ok) this.#refuse(what, answer, again, robots);
+    return answer;
+  }
+
+  /**
    * Undo the newest request, which must still be the one that was shown.
    * @param {string} id
    */
@@ -212,9 +247,10 @@ export class Commands extends Emitter {
   /**
    * @param {string} id
    * @param {() => void} again
+   * @param {string[]} [robots]
    */
-  #remember(id, again) {
-    this.#mine.set(id, again);
+  #remember(id, again, robots = []) {
+    this.#mine.set(id, { again, robots });
     const [oldest] = this.#mine.keys();
     if (this.#mine.size > 50) this.#mine.delete(oldest);
   }
@@ -222,16 +258,17 @@ export class Commands extends Emitter {
   /** @param {MissionReply} reply */
   #onReply({ ok, op, mission, request_id, reason, code }) {
     if (ok) return;
+    const mine = this.#mine.get(request_id);
     const known = this.store.missions.find((each) => each.mission === mission);
-    const robots = (known?.tracks ?? []).flatMap(({ steps }) => steps.flatMap((step) => step.robots));
+    const robots = known ? known.tracks.flatMap(({ steps }) => steps.flatMap((step) => step.robots)) : mine?.robots ?? [];
     const about = Object.fromEntries(this.store.heldByOthers(robots));
-    this.#refuse(`${op} of ${known?.name ?? mission}`, { reason, code, about }, this.#mine.get(request_id));
+    this.#refuse(`${op} of ${known?.name ?? mission}`, { reason, code, about }, mine?.again);
   }
 
   /** @param {RequestStatus} status */
   #onStatus(status) {
     if (!status.mine || status.phase !== "refused") return;
-    this.#refuse(status.behaviour, status, this.#mine.get(status.request_id), status.robots);
+    this.#refuse(status.behaviour, status, this.#mine.get(status.request_id)?.again, status.robots);
   }
 
   /**

@@ -6,7 +6,7 @@
  * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js,
  *           stick.js (a finger on the screen), signals.js (sound, vibration)
  * panels    fleet.js (table), attention.js (the strip above it), groups.js, detail.js (one robot; facts.js), panel.js
- *           (behaviours; field.js, forms.js, refusals.js, saved.js, places.js), missions.js, charts.js (plot.js, series.js,
+ *           (behaviours; field.js, forms.js, refusals.js, saved.js, places.js), missions.js (missionform.js), charts.js (plot.js, series.js,
  *           chartform.js), log.js, legend.js, camera.js, banners.js,
  *           study.js (the dialogs of a study); words.js (words for people), summary.js (the fleet in words, spoken),
  *           layout.js (tabs, menus), logfilter.js (which lines of the log), people.js (operators, hand-over), guide.js (the first
@@ -38,6 +38,7 @@ import { identity, Link } from "./link.js";
 import { LogView } from "./log.js";
 import { SwarmMap } from "./map.js";
 import { Marks } from "./marks.js";
+import { MissionForm } from "./missionform.js";
 import { Missions } from "./missions.js";
 import { Panel } from "./panel.js";
 import { Past } from "./past.js";
@@ -106,6 +107,7 @@ new Signals(present, banners);
 const routes = new Routes({ store, map });
 map.routes = routes;
 new Missions({ store, commands, routes });
+const missionForm = new MissionForm({ store: present, selection, commands, tools });
 new CameraView({ store: present, link, map, past });
 new Experiments({ store: present, link });
 map.ranges = new Ranges({ store: present, link, map, selection, detail, past });
@@ -124,6 +126,7 @@ link.on("message", (message) => {
 past.on("mode", (live) => {
   if (!live) releaseDriving();
   if (!live && tools.mode !== "select") tools.use("select");
+  if (!live) missionForm.close();
 });
 let placed = false;
 past.on("change", () => {

@@ -68,7 +68,9 @@ export class Missions {
     const going = missions.filter(({ phase }) => !ENDED.includes(phase));
     const asked = going.flatMap(({ tracks }) => tracks.flatMap(({ steps }) => steps.filter(({ confirm }) => confirm)));
     const names = going.length > 1 ? going.map(({ name, phase }) => `${name} ${phase}`).join(", ") : "";
-    setText(byId("mission-summary"), asked.length ? `waits for you: ${asked[0].confirm}` : names);
+    const words = asked.length ? `waits for you: ${asked[0].confirm}` : names;
+    setText(byId("mission-summary"), words);
+    byId("mission-summary").title = words; // the step shows a long question whole
     setFlag(byId("missions-toggle"), "data-asks", asked.length > 0);
   }
 }

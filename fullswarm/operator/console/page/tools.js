@@ -36,6 +36,7 @@ export class Tools extends Emitter {
     this.lasso = /** @type {Point[]} */ ([]);
     this.drag = /** @type {{from: Point, to: Point} | null} */ (null);
     this.picked = /** @type {Point[]} */ ([]);
+    this.route = /** @type {Point[]} */ ([]); // of a mission that is being made; its form sets it
     this.ruler = /** @type {{from: Point, to: Point} | null} */ (null);
   }
 
@@ -214,7 +215,9 @@ export function drawTool(scene, tool, placed, selection) {
   if (tool.lasso.length > 1) drawLasso(scene, tool.lasso);
   if (tool.drag) drawFormation(scene, tool, placed, selection);
   if (tool.ruler) drawRuler(scene, tool.ruler);
-  for (const [k, point] of tool.picked.entries()) drawPicked(scene, point, String(k + 1));
+  if (tool.route.length > 1) drawRoute(scene, tool.route);
+  const points = tool.route.length ? tool.route : tool.picked;
+  for (const [k, point] of points.entries()) drawPicked(scene, point, String(k + 1));
   if (tool.cursor) drawCrosshair(scene, tool.cursor);
 }
 
@@ -302,6 +305,20 @@ function drawRuler({ context, view, colours }, { from, to }) {
 export function rulerWords([x0, y0], [x1, y1]) {
   const metres = (/** @type {number} */ value) => value.toFixed(Math.abs(value) < 100 ? 2 : 1).replace("-", "−");
   return `${metres(Math.hypot(x1 - x0, y1 - y0))} m (x ${metres(x1 - x0)}, y ${metres(y1 - y0)})`;
+}
+
+/**
+ * @param {Scene} scene
+ * @param {Point[]} route
+ */
+function drawRoute({ context, view, colours }, route) {
+  context.strokeStyle = colours.goal;
+  context.lineWidth = 2;
+  context.setLineDash([8, 6]);
+  context.beginPath();
+  for (const point of route) context.lineTo(...view.toScreen(...point));
+  context.stroke();
+  context.setLineDash([]);
 }
 
 /**
