@@ -188,7 +188,12 @@ def cameras(console: Console) -> Iterator[None]:
     problem = "the camera has moved: no fixes until it hangs still and its floor tags are visible"
     known = [{"name": "ceiling", "problem": ""}, {"name": "door", "problem": problem}]
     console.page.evaluate("(cameras) => fake.say({ t: 'cameras', cameras })", known)
-    console.named("camera-toggle").click()
+    more = console.named("tool-more")
+    if more.is_visible():
+        more.click()
+        console.named("camera-more").click()
+    else:
+        console.named("camera-toggle").click()
     console.named("camera-under").select_option("ceiling")
     expect(console.named("camera-floor-words")).to_contain_text("Not drawn")
     yield

@@ -14,11 +14,12 @@ export class CameraView {
     this.link = link;
     this.floor = new FloorPicture({ store, map, past, onChange: () => void this.#watch() });
     map.picture = this.floor;
-    this.toggle = byId("camera-toggle");
+    this.toggles = [byId("camera-toggle"), byId("camera-more")]; // above the zoom buttons; on small screens in the toolbar's menu
     this.panel = byId("camera-panel");
     this.list = byId("camera-list");
-    this.toggle.addEventListener("click", () => this.#open(this.panel.hidden));
-    byId("camera-close").addEventListener("click", () => (this.#open(false), this.toggle.focus()));
+    for (const toggle of this.toggles) toggle.addEventListener("click", () => this.#open(this.panel.hidden));
+    this.toggles[1].addEventListener("click", () => byId("tool-more").click()); // the menu lies over the map: close it
+    byId("camera-close").addEventListener("click", () => this.#close());
     for (const id of ["tabs", "time-more", "people", "experiments-toggle"]) byId(id).addEventListener("click", () => this.#open(false)); // its place
     store.on("cameras", (cameras) => this.#update(cameras));
     store.on("picture", ({ camera, jpeg }) => this.#show(camera, jpeg));
@@ -39,10 +40,19 @@ export class CameraView {
     const others = document.querySelectorAll(".time-panel:not([hidden], .camera-panel) [id$='-close']");
     if (open) for (const close of others) if (close instanceof HTMLElement) close.click(); // they have the same place
     this.panel.hidden = !open;
-    setFlag(this.toggle, "aria-expanded", open);
+    for (const toggle of this.toggles) setFlag(toggle, "aria-expanded", open);
     if (open) byId("camera-close").focus({ preventScroll: true });
     void this.#watch();
     if (!open) for (const { image } of this.#figures.values()) image.removeAttribute("src");
+  }
+
+  /** Close it by its button, and give the focus back to what opens it. */
+  #close() {
+    this.#open(false);
+    const [wide, small] = this.toggles;
+    for (const toggle of [wide, small, byId("tool-more")]) {
+      if (toggle.offsetParent) return toggle.focus();
+    }
   }
 
   /** Have the console send pictures as long as they are shown, here or under the map. */
@@ -56,13 +66,13 @@ export class CameraView {
 
   /** @param {Camera[]} cameras */
   #update(cameras) {
-    this.toggle.hidden = !cameras.length;
+    for (const toggle of this.toggles) toggle.hidden = !cameras.length;
     for (const { name, problem } of cameras) {
       const { element, words } = this.#figure(name);
       setText(words, problem);
       setFlag(element, "data-bad", problem !== "");
     }
-    setFlag(this.toggle, "data-bad", cameras.some(({ problem }) => problem !== ""));
+    for (const toggle of this.toggles) setFlag(toggle, "data-bad", cameras.some(({ problem }) => problem !== ""));
   }
 
   /**
