@@ -26,6 +26,35 @@ def complaints(console: Console, *, coarse: bool, name: str = "") -> list[str]:
     low = size["height"] < 640
     rows = {"fleet": LEAST_ROWS - low, "trouble": LEAST_ROWS - 1 - low}.get(name, 0)
     found: list[str] = console.page.evaluate(f"({GEOMETRY})({{ coarse: {str(coarse).lower()}, rows: {rows} }})")
+    return found + hidden_labels(console)
+
+
+BUTTONS = """() => {
+  const map = document.querySelector("#map").getBoundingClientRect();
+  const buttons = [...document.querySelectorAll(".zoom button, .camera-toggle")];
+  const boxes = buttons.map((each) => each.getBoundingClientRect());
+  return boxes.filter(({ width }) => width).map(({ left, top, right, bottom }) => [left - map.left, top - map.top,
+    right - map.left, bottom - map.top]);
+}"""
+
+
+def hidden_labels(console: Console) -> list[str]:
+    """Return which labels on the map lie under its buttons, half a second after a button has come."""
+
+    def under() -> list[str]:
+        boxes = console.page.evaluate(BUTTONS)
+        return [
+            f"the label {label['key']} lies under a button"
+            for label in console.state["labels"]
+            for left, top, right, bottom in boxes
+            if label["left"] < right and label["left"] + label["width"] > left
+            and label["top"] < bottom and label["top"] + label["height"] > top
+        ]  # fmt: skip
+
+    for _ in range(20):
+        if not (found := under()):
+            break
+        console.page.wait_for_timeout(50)
     return found
 
 
@@ -180,6 +209,30 @@ def mission_form(console: Console) -> Iterator[None]:
     console.press("Escape")
     if toggle.is_visible():
         toggle.click()
+
+
+@contextmanager
+def ranges(console: Console) -> Iterator[None]:
+    """What the range sensors of two selected robots measure."""
+    show(console, "fleet")
+    change(console, ranged=["r1", "r2", "r3"])
+    console.select(["r1", "r2"])
+    console.page.evaluate("""() => {
+      const rays = Uint16Array.from({ length: 90 }, (_, k) => 900 + 300 * Math.sin(k / 5));
+      const mm = btoa(String.fromCharCode(...new Uint8Array(rays.buffer)));
+      const plain = { first_rad: -Math.PI, step_rad: Math.PI / 45, cone_rad: 0, max_m: 4, age_s: 0.05, mm };
+      const say = () => ["r1", "r2"].forEach((robot) => {
+        const { x, y } = window.fullswarm.state.robots[robot];
+        fake.say({ t: "scans", robot, scans: [{ ...plain, at: [x, y, 0] }] });
+      });
+      say();
+      window.scanning = setInterval(say, 200); // a scan is shown for a second
+    }""")
+    console.until(lambda: set(console.state["ranges"]) == {"r1", "r2"}, 5.0, "the scans are drawn")
+    yield
+    console.page.evaluate("clearInterval(window.scanning)")
+    console.press("Escape")
+    change(console, ranged=[])
 
 
 @contextmanager
@@ -347,8 +400,8 @@ def log(console: Console) -> Iterator[None]:
 
 STATES: dict[str, State] = {
     "fleet": fleet, "trouble": trouble, "estop": estop, "receipts": receipts, "clearing": clearing, "form": form,
-    "question": question, "missions": missions, "mission_form": mission_form, "cameras": cameras,
-    "bookmarks": bookmarks, "stick": stick,
-    "charts": charts, "lines": lines, "chart form": chart_form, "details": details, "log": log,
-    "experiments": experiments, "experiment": experiment, "experiment_stopped": experiment_stopped,
+    "question": question, "missions": missions, "mission_form": mission_form, "ranges": ranges, "cameras": cameras,
+    "bookmarks": bookmarks, "stick": stick, "charts": charts, "lines": lines, "chart form": chart_form,
+    "details": details, "log": log, "experiments": experiments, "experiment": experiment,
+    "experiment_stopped": experiment_stopped,
 }  # fmt: skip

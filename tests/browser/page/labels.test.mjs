@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { page } from "./page.mjs";
 
 const { LabelLayout, levelOfDetail } = await page("labels.js");
-const VIEW = { width: 600, height: 600 };
+const VIEW = { width: 600, height: 600, covered: [] };
 
 /** Numbers that are the same in each run (a linear congruential generator). */
 function* numbers() {
@@ -71,8 +71,20 @@ test("a label keeps its side while there is room for it", () => {
 test("where there is no room at all, what matters most is shown", () => {
   const make = (key, rank) => ({ key, rank, x: 20, y: 20, reach: 10, width: 26, height: 20, left: 0, top: 0, gap: 0, far: false, shown: false });
   const labels = [make("calm", 3), make("alarm", 1)];
-  new LabelLayout().place(labels, [{ x: 20, y: 20, reach: 10 }], 1, { width: 60, height: 42 });
+  new LabelLayout().place(labels, [{ x: 20, y: 20, reach: 10 }], 1, { width: 60, height: 42, covered: [] });
   assert.deepEqual(labels.filter(({ shown }) => shown).map(({ key }) => key), ["alarm"]);
+});
+
+test("no label is under what lies over the map, and it comes back when that has gone", () => {
+  const label = { key: "r1", rank: 0, x: 100, y: 100, reach: 10, width: 30, height: 20, left: 0, top: 0, gap: 0, far: false, shown: false };
+  const layout = new LabelLayout();
+  const place = (covered) => layout.place([label], [{ x: 100, y: 100, reach: 10 }], 1, { ...VIEW, covered });
+  place([{ left: 100, top: 0, right: 200, bottom: 600 }]);
+  assert.ok(label.shown && label.left + label.width <= 100, "it is on the other side");
+  place([{ left: 0, top: 0, right: 600, bottom: 600 }]);
+  assert.ok(!label.shown);
+  place([]);
+  assert.ok(label.shown);
 });
 
 test("small robots have fewer words", () => {

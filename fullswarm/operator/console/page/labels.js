@@ -1,5 +1,5 @@
 /**
- * Where labels go: beside their robots, never over a robot or another label. Deterministic and pure; CSS pixels.
+ * Where labels go: beside their robots, never over a robot or another label, nor under a button. Deterministic and pure; CSS pixels.
  *
  * Greedy: labels are placed one after the other, those that matter most first. Each tries the place it had before, so
  * that it does not jump from side to side, then the eight directions near its robot, then the same farther away: those
@@ -33,6 +33,7 @@ export function levelOfDetail(radius_px) {
  *   left: number, top: number, gap: number, far: boolean, shown: boolean}} Label
  *   key: the same from frame to frame; rank: the least is placed first; x, y, reach: its robot; far: it may go far; left,
  *   top, gap, shown: the outcome
+ * @typedef {Pick<import("./viewport.js").Viewport, "width" | "height" | "covered">} Area
  */
 
 export class LabelLayout {
@@ -46,7 +47,7 @@ export class LabelLayout {
    * @param {Label[]} labels  sorted here
    * @param {Disc[]} discs
    * @param {number} discCount
-   * @param {{width: number, height: number}} view
+   * @param {Area} view
    */
   place(labels, discs, discCount, view) {
     labels.sort(byRank);
@@ -92,7 +93,7 @@ export class LabelLayout {
    * Put a label at a place; return whether it is free there.
    * @param {Label} label
    * @param {number} place
-   * @param {{width: number, height: number}} view
+   * @param {Area} view
    */
   #fits(label, place, view) {
     const [dx, dy] = DIRECTIONS[place % DIRECTIONS.length];
@@ -102,6 +103,9 @@ export class LabelLayout {
     label.top = label.y + dy * away - (dy > 0 ? 0 : dy < 0 ? label.height : label.height / 2);
     const [right, bottom] = [label.left + label.width, label.top + label.height];
     if (label.left < 0 || label.top < 0 || right > view.width || bottom > view.height) return false;
+    for (const box of view.covered) {
+      if (label.left < box.right && right > box.left && label.top < box.bottom && bottom > box.top) return false;
+    }
     for (const { x, y, reach } of this.#nearDiscs) {
       const gapX = Math.max(label.left - x, 0, x - right);
       const gapY = Math.max(label.top - y, 0, y - bottom);

@@ -14,6 +14,8 @@ import { Viewport } from "./viewport.js";
 const TRAILS_EVERY_MS = 250;
 const TRAILS_SHARE = 15; // with many robots drawn less often: at most a fifteenth of the time goes into trails
 const LIVELY_MS = 400;
+const OVER = ".zoom button, .camera-toggle, .legend li, #layer-underlay, #underlay-words"; // what lies over the map
+const COVER_EVERY_MS = 500; // how often it is looked where that is
 const KEPT = 240; // frames whose cost is known
 
 export class SwarmMap {
@@ -56,6 +58,7 @@ export class SwarmMap {
   #floorStale = true;
   #groundStale = true;
   #trails_ms = 0;
+  #cover_ms = 0; // when it is looked again
   #lively_ms = 0;
 
   /**
@@ -126,6 +129,7 @@ export class SwarmMap {
       canvas.height = Math.round(clientHeight * this.#dpr);
     }
     if (fits) this.fit();
+    this.#cover_ms = 0;
     this.#restyle();
   }
 
@@ -139,8 +143,21 @@ export class SwarmMap {
     requestAnimationFrame((next_ms) => this.#frame(next_ms));
   }
 
+  /** Note what lies over the map: labels are not put under it. */
+  #cover() {
+    const map = this.live.getBoundingClientRect();
+    const boxes = [...document.querySelectorAll(OVER)].map((each) => each.getBoundingClientRect());
+    this.view.covered = boxes.filter(({ width }) => width > 0).map(({ left, top, right, bottom }) => ({
+      left: left - map.left, top: top - map.top, right: right - map.left, bottom: bottom - map.top,
+    }));
+  }
+
   /** @param {number} now_ms */
   #draw(now_ms) {
+    if (now_ms > this.#cover_ms) {
+      this.#cover();
+      this.#cover_ms = now_ms + COVER_EVERY_MS;
+    }
     const scene = {
       view: this.view, store: this.store, dpr: this.#dpr, sprites: this.#sprites,
       colours: MAP_COLOURS[this.theme.dark ? "dark" : "light"],
