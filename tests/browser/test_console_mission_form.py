@@ -15,9 +15,11 @@ from tests.browser.conftest import SIZE, Snap
 from tests.browser.console import Console
 from tests.browser.played import change, play, sent
 from tests.browser.swarm import Observer, far
+from tests.browser.test_console_orders import park
 
 NEAR_M = 0.2
-STEP_M = 0.6
+FIRST, SECOND = (1.0, 8.1), (1.6, 7.5)
+"""Where nothing is, near the place of r1 in the row."""
 
 
 @pytest.fixture(scope="module")
@@ -128,21 +130,14 @@ def test_without_robots_or_points_nothing_can_be_started(played: Console) -> Non
     expect(points(played)).to_have_count(1)
 
 
-def inwards(place: tuple[float, float]) -> tuple[float, float]:
-    """Return a point that is nearer to the middle of the arena."""
-    x_m, y_m = place
-    return x_m + (STEP_M if x_m < 5.0 else -STEP_M), y_m + (STEP_M if y_m < 5.0 else -STEP_M)
-
-
 def test_a_robot_goes_from_point_to_point_and_the_past_shows_the_mission(calm: Console, observer: Observer) -> None:
     client = MissionClient(observer.bus, Keys("swarm"), observer.runtime, "observer", name="berta")
-    first = inwards(observer.places(["r1"])["r1"])
-    second = (first[0], first[1] + (STEP_M if first[1] < 5.0 else -STEP_M))
+    park(observer)  # a robot also has arrived where another one, or a box, stands in its way
     calm.select(["r1"])
     calm.named("missions-toggle").click()
     calm.named("mission-new").click()
     name = calm.named("mission-name").input_value()
-    for point in (first, second):
+    for point in (FIRST, SECOND):
         calm.click_floor(*point)
     calm.named("mission-start").click()
     expect(calm.named("mission-form")).to_be_hidden()
@@ -150,14 +145,14 @@ def test_a_robot_goes_from_point_to_point_and_the_past_shows_the_mission(calm: C
     went: list[float] = []
 
     def reached() -> bool:
-        went.append(far(observer.places(["r1"])["r1"], first))
+        went.append(far(observer.places(["r1"])["r1"], FIRST))
         return phases(client, name) == ("done", "done")
 
     calm.until(lambda: calm.state["routes"] and calm.state["routes"][0]["phase"] == "running", 10.0, "it is drawn")
     began_s = calm.state["time"]["at_s"]
     observer.until(reached, 60.0, "both points are reached")
     assert min(went) < NEAR_M
-    assert far(observer.places(["r1"])["r1"], second) < NEAR_M
+    assert far(observer.places(["r1"])["r1"], SECOND) < NEAR_M
     calm.page.evaluate("(at_s) => window.fullswarm.look(at_s)", began_s)
     calm.until(lambda: calm.state["time"]["ready"] and not calm.state["time"]["live"], 15.0, "the past is shown")
     calm.until(
