@@ -1,4 +1,4 @@
-"""Which recording a console cuts clips from: that of its own swarm at its own hub."""
+"""Which recording a console cuts clips from, and what a recorder may ask for at a secured hub."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.config import DEFAULT_HUB
+from fullswarm.errors import ConfigError
 from fullswarm.operator.session import Target
 from fullswarm.record import session
 from fullswarm.record.session import RecordingFinder, Running
@@ -29,3 +30,12 @@ def test_that_of_up_is_given(tmp_path: Path) -> None:
     assert finder() is None
     (tmp_path / "run.mcap").touch()
     assert finder() == tmp_path / "run.mcap"
+
+
+def test_a_recorder_at_a_secured_hub_asks_no_robot_for_scans(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(session, "credentials_at", lambda *_: object())
+    target = Target(swarm="swarm", hub="tls/hub.lab:7447")
+    with pytest.raises(ConfigError, match="an observer, which can ask robots for nothing") as refused:
+        session.start(target, tmp_path / "run.mcap", None, 0.0, 0, False, ranges_hz=2.0)
+    assert refused.value.hint.startswith("leave it out")
+    assert not (tmp_path / "run.mcap").exists()
