@@ -95,6 +95,8 @@ class Served:
 
     def ready(self) -> bool:
         found = self.call("robots")
+        if self.call("behaviours").status_code != 200:  # the console has not read the core's database yet
+            return False
         return found.status_code == 200 and [each["lifecycle"] for each in found.json()["robots"]] == ["READY"] * 2
 
     def robot(self, robot: str) -> dict[str, Any]:
