@@ -39,7 +39,7 @@ BUTTONS = """() => {
 
 
 def hidden_labels(console: Console) -> list[str]:
-    """Return which labels on the map lie under its buttons, half a second after a button has come."""
+    """Return which labels on the map lie under its buttons: none, a second after a button has come."""
 
     def under() -> list[str]:
         boxes = console.page.evaluate(BUTTONS)

@@ -104,6 +104,19 @@ def test_places_are_added_and_names_are_looked_at(played: Console) -> None:
     expect(played.named("mission-place")).to_be_hidden()
 
 
+def test_the_picking_of_another_form_is_left_alone(played: Console) -> None:
+    played.click_floor(6.0, 6.0)
+    points(played).get_by_role("button", name="Remove point 1").click()
+    played.named("places-open").click()
+    played.page.get_by_role("button", name="Pick on the map: points").click()
+    expect(played.named("mission-pick")).to_have_attribute("aria-pressed", "false")
+    played.named("mission-cancel").click()
+    played.click_floor(3.0, 4.0)
+    expect(played.page.locator("#place-points input")).not_to_have_value("")
+    expect(points(played)).to_have_count(0)
+    played.named("places-open").click()
+
+
 def test_robots_that_another_operator_holds_are_asked_for(played: Console) -> None:
     lease = {"robot": "r3", "operator": "ben@workshop", "taken_from": "", "mine": False}
     change(played, leases=[lease])

@@ -86,21 +86,14 @@ def test_a_page_controls_a_mission_and_learns_why_not(bench: ConsoleBench) -> No
     assert len(sent) == count
 
 
-PLAN = {
-    "name": "route-1",
-    "tracks": [
-        {
-            "name": "main",
-            "steps": [
-                {
-                    "name": f"point {number}", "behaviour": "move_to_goal_bc", "robots": ["r1", "r2"],
-                    "parameters": {"goal": [float(number), 2.0]}, "done": {"arrived": "all"},
-                }
-                for number in (1, 2)
-            ],
-        }
-    ],
-}  # fmt: skip
+STEPS: list[dict[str, object]] = [
+    {
+        "name": f"point {number}", "behaviour": "move_to_goal_bc", "robots": ["r1", "r2"],
+        "parameters": {"goal": [float(number), 2.0]}, "done": {"arrived": "all"},
+    }
+    for number in (1, 2)
+]  # fmt: skip
+PLAN = {"name": "route-1", "tracks": [{"name": "main", "steps": STEPS}]}
 
 
 def test_a_page_starts_a_mission_and_learns_why_not(bench: ConsoleBench) -> None:
@@ -134,8 +127,7 @@ def test_a_mission_that_no_core_answers_is_not_started_by_a_later_one(bench: Con
 
 def changed(**step: object) -> dict[str, object]:
     """Return the plan with one step, which has these fields."""
-    found = PLAN["tracks"][0]["steps"][0] | step  # type: ignore[index]
-    return {"name": "route-1", "tracks": [{"name": "main", "steps": [found]}]}
+    return {"name": "route-1", "tracks": [{"name": "main", "steps": [STEPS[0] | step]}]}
 
 
 @pytest.mark.parametrize(

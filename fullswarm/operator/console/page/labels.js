@@ -1,5 +1,6 @@
 /**
- * Where labels go: beside their robots, never over a robot or another label, nor under a button. Deterministic and pure; CSS pixels.
+ * Where labels go: beside their robots, never over a robot or another label, nor under a button. Deterministic and
+ * pure; CSS pixels.
  *
  * Greedy: labels are placed one after the other, those that matter most first. Each tries the place it had before, so
  * that it does not jump from side to side, then the eight directions near its robot, then the same farther away: those

@@ -6,8 +6,8 @@
  * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js,
  *           stick.js (a finger on the screen), signals.js (sound, vibration)
  * panels    fleet.js (table), attention.js (the strip above it), groups.js, detail.js (one robot; facts.js), panel.js
- *           (behaviours; field.js, forms.js, refusals.js, saved.js, places.js), missions.js (missionform.js), charts.js (plot.js, series.js,
- *           chartform.js), log.js, legend.js, camera.js, banners.js,
+ *           (behaviours; field.js, forms.js, refusals.js, saved.js, places.js), missions.js (missionform.js),
+ *           charts.js (plot.js, series.js, chartform.js), log.js, legend.js, camera.js, banners.js,
  *           study.js (the dialogs of a study); words.js (words for people), summary.js (the fleet in words, spoken),
  *           layout.js (tabs, menus), logfilter.js (which lines of the log), people.js (operators, hand-over), guide.js (the first
  *           minute), tips.js (tooltips), experiments.js (in place of a panel)

@@ -14,8 +14,8 @@ import { Viewport } from "./viewport.js";
 const TRAILS_EVERY_MS = 250;
 const TRAILS_SHARE = 15; // with many robots drawn less often: at most a fifteenth of the time goes into trails
 const LIVELY_MS = 400;
-const OVER = ".zoom button, .camera-toggle, .legend li, #layer-underlay, #underlay-words"; // what lies over the map
-const COVER_EVERY_MS = 500; // how often it is looked where that is
+const OVERLAYS = ".zoom button, .camera-toggle, .legend li, #layer-underlay, #underlay-words"; // elements over the map
+const OVERLAYS_EVERY_MS = 500; // interval at which their positions are read
 const KEPT = 240; // frames whose cost is known
 
 export class SwarmMap {
@@ -58,7 +58,7 @@ export class SwarmMap {
   #floorStale = true;
   #groundStale = true;
   #trails_ms = 0;
-  #cover_ms = 0; // when it is looked again
+  #overlays_ms = 0; // when the overlays are read next
   #lively_ms = 0;
 
   /**
@@ -129,7 +129,7 @@ export class SwarmMap {
       canvas.height = Math.round(clientHeight * this.#dpr);
     }
     if (fits) this.fit();
-    this.#cover_ms = 0;
+    this.#overlays_ms = 0;
     this.#restyle();
   }
 
@@ -143,10 +143,10 @@ export class SwarmMap {
     requestAnimationFrame((next_ms) => this.#frame(next_ms));
   }
 
-  /** Note what lies over the map: labels are not put under it. */
-  #cover() {
+  /** Read where elements lie over the map: labels are not put under them. */
+  #readOverlays() {
     const map = this.live.getBoundingClientRect();
-    const boxes = [...document.querySelectorAll(OVER)].map((each) => each.getBoundingClientRect());
+    const boxes = [...document.querySelectorAll(OVERLAYS)].map((each) => each.getBoundingClientRect());
     this.view.covered = boxes.filter(({ width }) => width > 0).map(({ left, top, right, bottom }) => ({
       left: left - map.left, top: top - map.top, right: right - map.left, bottom: bottom - map.top,
     }));
@@ -154,9 +154,9 @@ export class SwarmMap {
 
   /** @param {number} now_ms */
   #draw(now_ms) {
-    if (now_ms > this.#cover_ms) {
-      this.#cover();
-      this.#cover_ms = now_ms + COVER_EVERY_MS;
+    if (now_ms > this.#overlays_ms) {
+      this.#readOverlays();
+      this.#overlays_ms = now_ms + OVERLAYS_EVERY_MS;
     }
     const scene = {
       view: this.view, store: this.store, dpr: this.#dpr, sprites: this.#sprites,

@@ -31,13 +31,13 @@ export class MissionForm {
     this.place.addEventListener("change", () => this.#addPlace());
     this.form.addEventListener("submit", (event) => void this.#submit(event));
     selection.on("change", () => this.#show());
-    tools.on("change", () => setFlag(this.picking, "aria-pressed", this.#picks && tools.mode === "pick"));
+    tools.on("change", () => setFlag(this.picking, "aria-pressed", tools.picksFor(this.#onPoint)));
     store.on("world", () => this.#offer());
     store.on("mission", (reply) => this.#replied(reply));
   }
 
   #points = /** @type {Point[]} */ ([]);
-  #picks = false; // the tool that picks, if there is one, is for this form
+  #onPoint = (/** @type {Point} */ point) => this.#add(point);
   #offered = "";
   #asked = ""; // name of the mission that the core is asked for; it stays in the form until the core has accepted it
 
@@ -54,13 +54,14 @@ export class MissionForm {
   /** Forget the points. */
   close() {
     if (this.form.hidden) return;
-    this.#leavePick();
+    const focused = this.form.contains(document.activeElement);
+    if (this.tools.picksFor(this.#onPoint)) this.tools.use("select");
     this.form.hidden = true;
     setFlag(byId("mission-new"), "aria-expanded", false);
     this.#points = [];
     this.#asked = "";
     this.#show();
-    byId("mission-new").focus({ preventScroll: true });
+    if (focused) byId("mission-new").focus({ preventScroll: true }); // else the operator is elsewhere by now
   }
 
   #freeName() {
@@ -83,16 +84,8 @@ export class MissionForm {
   }
 
   #pick() {
-    if (this.#picks && this.tools.mode === "pick") return this.#leavePick();
-    this.#picks = false; // the tool may be another form's
-    this.tools.pick([], (point) => this.#add(point));
-    this.#picks = true;
-    return setFlag(this.picking, "aria-pressed", true);
-  }
-
-  #leavePick() {
-    if (this.#picks && this.tools.mode === "pick") this.tools.use("select");
-    this.#picks = false;
+    if (this.tools.picksFor(this.#onPoint)) this.tools.use("select");
+    else this.tools.pick([], this.#onPoint);
   }
 
   #addPlace() {
@@ -121,7 +114,7 @@ export class MissionForm {
   }
 
   #show() {
-    this.tools.route = this.form.hidden ? [] : this.#points;
+    this.tools.route = this.form.hidden ? null : this.#points;
     this.tools.emit("draw");
     if (this.form.hidden) return;
     const robots = this.selection.list();

@@ -36,7 +36,7 @@ export class Tools extends Emitter {
     this.lasso = /** @type {Point[]} */ ([]);
     this.drag = /** @type {{from: Point, to: Point} | null} */ (null);
     this.picked = /** @type {Point[]} */ ([]);
-    this.route = /** @type {Point[]} */ ([]); // of a mission that is being made; its form sets it
+    this.route = /** @type {Point[] | null} */ (null); // of the mission that is being made, if there is one
     this.ruler = /** @type {{from: Point, to: Point} | null} */ (null);
   }
 
@@ -71,6 +71,14 @@ export class Tools extends Emitter {
     this.picked = points;
     this.#pick = onPoint;
     this.emit("change");
+  }
+
+  /**
+   * Return whether the next click goes to `onPoint`.
+   * @param {(point: Point) => boolean} onPoint
+   */
+  picksFor(onPoint) {
+    return this.mode === "pick" && this.#pick === onPoint;
   }
 
   /**
@@ -215,9 +223,8 @@ export function drawTool(scene, tool, placed, selection) {
   if (tool.lasso.length > 1) drawLasso(scene, tool.lasso);
   if (tool.drag) drawFormation(scene, tool, placed, selection);
   if (tool.ruler) drawRuler(scene, tool.ruler);
-  if (tool.route.length > 1) drawRoute(scene, tool.route);
-  const points = tool.route.length ? tool.route : tool.picked;
-  for (const [k, point] of points.entries()) drawPicked(scene, point, String(k + 1));
+  if (tool.route) drawRoute(scene, tool.route);
+  for (const [k, point] of (tool.route ?? tool.picked).entries()) drawPicked(scene, point, String(k + 1));
   if (tool.cursor) drawCrosshair(scene, tool.cursor);
 }
 

@@ -10,7 +10,7 @@ export class Viewport {
   height = 1;
   centre = /** @type {[number, number]} */ ([0, 0]); // metres
   scale = 40; // CSS pixels per metre
-  covered = /** @type {{left: number, top: number, right: number, bottom: number}[]} */ ([]); // by buttons and the legend
+  covered = /** @type {{left: number, top: number, right: number, bottom: number}[]} */ ([]); // CSS pixels; by buttons and the legend
 
   /**
    * @param {number} x_m
