@@ -14,11 +14,10 @@ export class CameraView {
     this.link = link;
     this.floor = new FloorPicture({ store, map, past, onChange: () => void this.#watch() });
     map.picture = this.floor;
-    this.toggles = [byId("camera-toggle"), byId("camera-more")]; // above the zoom buttons; on small screens in the toolbar's menu
+    this.toggle = byId("camera-toggle");
     this.panel = byId("camera-panel");
     this.list = byId("camera-list");
-    for (const toggle of this.toggles) toggle.addEventListener("click", () => this.#open(this.panel.hidden));
-    this.toggles[1].addEventListener("click", () => byId("tool-more").click()); // the menu lies over the map: close it
+    this.toggle.addEventListener("click", () => this.#open(this.panel.hidden));
     byId("camera-close").addEventListener("click", () => this.#close());
     for (const id of ["tabs", "time-more", "people", "experiments-toggle"]) byId(id).addEventListener("click", () => this.#open(false)); // its place
     store.on("cameras", (cameras) => this.#update(cameras));
@@ -40,7 +39,9 @@ export class CameraView {
     const others = document.querySelectorAll(".time-panel:not([hidden], .camera-panel) [id$='-close']");
     if (open) for (const close of others) if (close instanceof HTMLElement) close.click(); // they have the same place
     this.panel.hidden = !open;
-    for (const toggle of this.toggles) setFlag(toggle, "aria-expanded", open);
+    setFlag(this.toggle, "aria-expanded", open);
+    const more = byId("tool-more");
+    if (more.getAttribute("aria-expanded") === "true") more.click(); // the menu lies over the map
     if (open) byId("camera-close").focus({ preventScroll: true });
     void this.#watch();
     if (!open) for (const { image } of this.#figures.values()) image.removeAttribute("src");
@@ -49,10 +50,7 @@ export class CameraView {
   /** Close it by its button, and give the focus back to what opens it. */
   #close() {
     this.#open(false);
-    const [wide, small] = this.toggles;
-    for (const toggle of [wide, small, byId("tool-more")]) {
-      if (toggle.offsetParent) return toggle.focus();
-    }
+    (this.toggle.offsetParent ? this.toggle : byId("tool-more")).focus(); // it may be in a menu that is folded
   }
 
   /** Have the console send pictures as long as they are shown, here or under the map. */
@@ -66,13 +64,13 @@ export class CameraView {
 
   /** @param {Camera[]} cameras */
   #update(cameras) {
-    for (const toggle of this.toggles) toggle.hidden = !cameras.length;
+    this.toggle.hidden = !cameras.length;
     for (const { name, problem } of cameras) {
       const { element, words } = this.#figure(name);
       setText(words, problem);
       setFlag(element, "data-bad", problem !== "");
     }
-    for (const toggle of this.toggles) setFlag(toggle, "data-bad", cameras.some(({ problem }) => problem !== ""));
+    setFlag(this.toggle, "data-bad", cameras.some(({ problem }) => problem !== ""));
   }
 
   /**

@@ -6,6 +6,7 @@ const KEPT_AS = "hand";
 
 /** The same conditions as in the style sheets. */
 const SHORT = "(width < 1000px), (height < 640px)"; // the timeline
+const FOLDED = "(width < 740px), (height < 640px)"; // the toolbar, which then has a menu
 const NARROW = "(width < 900px), (height < 640px)";
 
 /** Whether a screen is so narrow or low that the receipts of an e-stop take the place of a panel. */
@@ -24,6 +25,7 @@ export class Layout {
     this.#menus();
     this.#skips();
     this.#steps();
+    this.#camera();
     addEventListener("resize", () => this.onChange()); // a tablet that is turned
     this.show("fleet");
     this.#drive(false);
@@ -97,6 +99,15 @@ export class Layout {
     const query = matchMedia(SHORT);
     const steps = /** @type {HTMLElement} */ (document.querySelector(".time-steps"));
     const place = () => (query.matches ? byId("mark-form").before(steps) : byId("time-play").after(steps));
+    query.addEventListener("change", place);
+    place();
+  }
+
+  /** Where the toolbar folds there is no room for the camera's button above the zoom buttons: it is in the toolbar's menu. */
+  #camera() {
+    const query = matchMedia(FOLDED);
+    const toggle = byId("camera-toggle");
+    const place = () => (query.matches ? byId("layer-routes") : byId("zoom")).after(toggle);
     query.addEventListener("change", place);
     place();
   }
