@@ -69,6 +69,8 @@ def reply(played: Console, *, ok: bool, reason: str = "") -> None:
 def test_the_mission_is_what_was_clicked_and_stays_until_the_core_has_accepted_it(played: Console, snap: Snap) -> None:
     for x_m, y_m in ((2.0, 3.0), (7.0, 6.0), (5.0, 8.0), (3.0, 5.5)):
         played.click_floor(x_m, y_m)
+    played.click_floor(-0.5, 5.0)
+    expect(played.named("mission-problem")).to_contain_text("outside the arena")
     expect(points(played)).to_have_count(4)
     points(played).nth(1).get_by_role("button", name="Remove point 2").click()
     expect(points(played).nth(1)).to_contain_text("5.0")

@@ -45,6 +45,7 @@ export class MissionForm {
     this.form.hidden = false;
     setFlag(byId("mission-new"), "aria-expanded", true);
     this.name.value = this.#freeName();
+    this.name.setAttribute("aria-invalid", "false");
     this.#offer();
     this.#problem("");
     this.#pick();
@@ -99,6 +100,11 @@ export class MissionForm {
    * @param {Point} point
    */
   #add([x, y]) {
+    const [x0, y0, x1, y1] = this.store.arena ?? [-Infinity, -Infinity, Infinity, Infinity];
+    if (x < x0 || x > x1 || y < y0 || y > y1) { // its step would never be over
+      this.#problem("this point is outside the arena: pick one within it");
+      return true;
+    }
     if (this.#points.length < MOST_POINTS) this.#points = [...this.#points, [round(x), round(y)]];
     this.#problem("");
     this.#show();
@@ -141,6 +147,7 @@ export class MissionForm {
     event.preventDefault();
     const name = this.name.value.trim();
     const problem = nameProblem(name, [], "mission");
+    this.name.setAttribute("aria-invalid", String(Boolean(problem)));
     if (problem) return this.#problem(problem);
     const robots = this.selection.list();
     if (!robots.length || !this.#points.length) return this.#problem("select robots, and pick a point");
@@ -160,7 +167,6 @@ export class MissionForm {
   /** @param {string} words */
   #problem(words) {
     setText(byId("mission-problem"), words);
-    this.name.setAttribute("aria-invalid", String(Boolean(words)));
   }
 }
 
