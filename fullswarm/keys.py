@@ -37,6 +37,7 @@ key                                                     message                w
 ``<swarm>/version/<process>``                           Version                agents, core, world → all
 ``<swarm>/lease/request``                               LeaseRequest           operator → core
 ``<swarm>/lease/holders``                               Leases                 core → all
+``<swarm>/roster``                                      KnownRobots            core → all
 ``<swarm>/mission/request``                             MissionRequest         operator → core
 ``<swarm>/mission/reply/<id>``                          MissionReply           core → the asker
 ``<swarm>/mission/status``                              MissionStatus          core → all
@@ -233,6 +234,11 @@ class Keys:
     def leases(self) -> str:
         """The present leases of all robots."""
         return f"{self.swarm}/lease/holders"
+
+    @property
+    def known_robots(self) -> str:
+        """Which robots the core knows, and which of them report."""
+        return f"{self.swarm}/roster"
 
     @property
     def mission_request(self) -> str:

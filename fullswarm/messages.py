@@ -190,6 +190,15 @@ class Leases(Message, frozen=True, kw_only=True):
     sequence: Ordinal = 0
 
 
+class KnownRobots(Message, frozen=True, kw_only=True):
+    """All robots of the fleet file and those that report without being of it; on change, each second and on query."""
+
+    present: Names  # their agents report
+    absent: Names  # they do not: no longer, or not yet
+    core: str = ""  # which core process
+    sequence: Ordinal = 0
+
+
 class EStop(Message, frozen=True, kw_only=True, tag="EStop/2"):
     """Engage or release the latched emergency stop. Idempotent; releasing is a separate, deliberate act.
 

@@ -33,7 +33,7 @@ _TOPICS = {
     "stop": STOPS, "estop": STOPS, "behaviour": ORDERS, "robot": ORDERS, "heartbeat": ORDERS, "lease": ORDERS,
     "mission": ORDERS, "params": READS, "measurement": READS, "summary": READS, "memory": READS, "actuators": READS,
     "reload": READS, "camera": READS, "intervention": READS, "processes": READS, "identity": READS,
-    "charging": READS, "grid": READS, "range": READS,
+    "charging": READS, "grid": READS, "range": READS, "roster": READS,
 }  # fmt: skip
 """By the first part of a key after the swarm; all others carry states."""
 _SPECIAL = {

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 COLLECT_S = 1.0
 """Longest wait for reports: two periods of the health reports. All are asked to report at once."""
-SETTLED_S, LOOK_S = 0.1, 0.02
-"""What is complete, and has not grown for so long, is shown."""
+SETTLED_S, COUNTED_S, LOOK_S = 0.1, 0.03, 0.01
+"""What is complete, and has not grown for so long, is shown: sooner where the core has said which robots there are."""
 USUAL = ("bodies", "bumps", "obstacles", "pose", "reverse")
 """Capabilities that the list of robots leaves out; `--json` has them."""
 REFRESH_S = 0.25
@@ -216,7 +216,7 @@ def _collect(target: Target, ids: tuple[str, ...] = ()) -> Snapshot:
             known = view.received()
             if known != before:
                 grown_s = now_s
-            elif now_s - grown_s >= SETTLED_S and view.complete():
+            elif now_s - grown_s >= (COUNTED_S if view.counted() else SETTLED_S) and view.complete():
                 connection.finish()
 
         connection.runtime.every(LOOK_S, look)

@@ -71,7 +71,8 @@ class CoreNode:
         keys, self._sequence = self._keys, 0
         self.settings = Settings(store, config)
         self.library = Library(store)
-        self.roster = Roster(bus, keys, scheduler, config.robots, silence_s=lambda: self.settings.presence_silence_s)
+        silence_s = lambda: self.settings.presence_silence_s  # noqa: E731
+        self.roster = Roster(bus, keys, scheduler, config.robots, silence_s, process)
         self.remapper = Remapper(bus, keys, scheduler, store, process)
         latches = Latches(bus, keys, scheduler, store, self.roster, process)
         board, request_order = StatusBoard(bus, keys, scheduler), RequestOrder()

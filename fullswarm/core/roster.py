@@ -1,4 +1,4 @@
-"""Which robots are present: a robot is present while its agent's health reports arrive."""
+"""Which robots are present: a robot is present while its agent's health reports arrive. Out: KnownRobots."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from fullswarm.bus import Bus
+from fullswarm.bus.report_query import ReportsOnQuery
 from fullswarm.keys import ROBOT_ID, Keys
-from fullswarm.messages import HealthReport, ReportQuery, RobotHealth, RobotProfile, RobotProfiles
+from fullswarm.messages import HealthReport, KnownRobots, ReportQuery, RobotHealth, RobotProfile, RobotProfiles
 from fullswarm.recent import Names, Recent
 from fullswarm.runtime import Scheduler
 
@@ -17,6 +18,8 @@ SILENCE_S = 1.5
 CHECK_S = 0.1
 STRANGERS = 1000
 """Robots that are not of the fleet file, at most; see :class:`~fullswarm.recent.Names`."""
+REPORT_S = 1.0
+"""From one report of all robots to the next, while they stay the same."""
 ASK_S = 1.0
 """Between two queries for profiles that have not been received."""
 PAST = 16
@@ -53,6 +56,8 @@ class Roster:
         Ids of the fleet file, in its order.
     silence_s
         Returns how long a robot may be silent before it counts as absent.
+    process
+        Name of this start of the core, unique.
     """
 
     def __init__(
@@ -62,8 +67,9 @@ class Roster:
         scheduler: Scheduler,
         configured: Sequence[str] = (),
         silence_s: Callable[[], float] = lambda: SILENCE_S,
+        process: str = "",
     ) -> None:
-        self._scheduler = scheduler
+        self._scheduler, self._process = scheduler, process
         self._silence_s = silence_s
         self._members = {robot: Member(robot) for robot in configured}
         self._on_report: list[Callable[[Member, bool], None]] = []
@@ -73,11 +79,14 @@ class Roster:
         self._bus, self._keys, self._asked_s = bus, keys, -math.inf
         self._profiles: dict[str, RobotProfile] = {}
         self._early: Recent[str, RobotProfile] = Recent(STRANGERS)  # of robots that have not reported yet
+        self._sequence, self._reported_s = 0, -math.inf
+        self._reported: tuple[tuple[str, ...], tuple[str, ...]] = (), ()  # present, absent
         self._subscriptions = [
             bus.subscribe(keys.health(), HealthReport, self._report),
             bus.subscribe(keys.profile(), RobotProfiles, self._describe, latest=True),
         ]
         self._timer = scheduler.every(CHECK_S, self._check)
+        self._queries = ReportsOnQuery(bus, keys, scheduler, self.report)
 
     def watch(self, on_report: Callable[[Member, bool], None], on_absence: Callable[[str], None]) -> None:
         """Have `on_report(member, restarted)` called for each report, `on_absence(robot)` when one falls silent."""
@@ -132,6 +141,7 @@ class Roster:
 
     def close(self) -> None:
         """End the subscriptions."""
+        self._queries.close()
         for subscription in self._subscriptions:
             subscription.close()
         self._timer.cancel()
@@ -175,3 +185,18 @@ class Roster:
                 member.present = False
                 for callback in self._on_absence:
                     callback(member.robot)
+        if self._lists() != self._reported or self._scheduler.now_s() - self._reported_s >= REPORT_S:
+            self.report()
+
+    def _lists(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the robots that are present, and those that are not."""
+        present = self.present()
+        return present, tuple(robot for robot, member in self._members.items() if not member.present)
+
+    def report(self) -> None:
+        """Publish which robots there are."""
+        self._sequence += 1
+        self._reported_s, self._reported = self._scheduler.now_s(), self._lists()
+        present, absent = self._reported
+        message = KnownRobots(present=present, absent=absent, core=self._process, sequence=self._sequence)
+        self._bus.publish(self._keys.known_robots, message)

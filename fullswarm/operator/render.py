@@ -79,7 +79,7 @@ def footer_lines(snapshot: Snapshot) -> list[str]:
     """Return what concerns the whole swarm: processes, missing or silent robots, the newest request, summaries."""
     lines = [row.text for row in snapshot.processes if row.text]
     if snapshot.missing:
-        lines.append(f"MISSING, never reported: {_names(snapshot.missing)}")
+        lines.append(f"MISSING, not reporting: {_names(snapshot.missing)}")
     if snapshot.silent:
         lines.append(f"SILENT, no longer reporting: {_names(snapshot.silent)}")
     if snapshot.docks:

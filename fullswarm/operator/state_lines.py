@@ -34,7 +34,7 @@ class StateLines:
         rows = {"hub": "connected" if seen.connected else "LOST"}
         rows |= {node.node: "alive" if node.age_s <= SILENT_S else "SILENT" for node in seen.nodes}
         rows |= {f"process {each.state.name}": each.state.phase for each in seen.processes if each.text}
-        rows |= dict.fromkeys(seen.missing, "MISSING, never reported")
+        rows |= dict.fromkeys(seen.missing, "MISSING, not reporting")
         texts = {name: (state, state) for name, state in rows.items()}
         texts |= {row.robot: (_state(row), _line(row)) for row in seen.robots}
         for name, (state, line) in texts.items():

@@ -17,6 +17,7 @@ from fullswarm.messages import (
     DockState,
     HealthReport,
     Heartbeat,
+    KnownRobots,
     Lease,
     Leases,
     ProcessReport,
@@ -39,7 +40,7 @@ SILENT_S = 0.8
 CHARGING_S = 6.0
 """Docks of an older status are not shown: three in a row were lost, or the core is not there."""
 LEASES_S = 3.0
-"""The core reports them each second; older ones may have expired."""
+"""The core reports them each second; older ones may have expired. The same holds for which robots it knows."""
 
 ASK_FIRST_S, ASK_S = 0.02, 0.5
 """When all are asked to report, after the subscriptions; then between two queries while profiles are missing."""
@@ -139,7 +140,7 @@ class Snapshot:
     nodes: tuple[NodeRow, ...] = ()
     summaries: tuple[Summary, ...] = ()  # by metric
     request: RequestStatus | None = None  # the newest of all requests
-    missing: tuple[str, ...] = ()  # expected or addressed, but never received
+    missing: tuple[str, ...] = ()  # expected, addressed, or known to the core, but never received here
     leases: tuple[Lease, ...] = ()
     docks: tuple[DockState, ...] = ()  # none: the fleet file has none, or no core is there
     waiting: tuple[str, ...] = ()  # robots that wait for a dock, the next one first
@@ -211,6 +212,8 @@ class FleetView:
         self._node_names = Names(MOST_NODES, self._forget_node)
         self._request: RequestStatus | None = None
         self._leases: tuple[float, tuple[Lease, ...]] = (-math.inf, ())
+        self._known: tuple[float, KnownRobots] | None = None
+        self._counted_s = math.inf  # since when a core has said which robots there are
         self._processes: dict[str, tuple[float, ProcessReport]] = {}  # by host
         self._charging: tuple[float, ChargingStatus] | None = None
         self._subscriptions = [
@@ -223,6 +226,7 @@ class FleetView:
             bus.subscribe(keys.summary(), Summary, self._on_summary, latest=True),
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
             bus.subscribe(keys.leases, Leases, self._on_leases, latest=True),
+            bus.subscribe(keys.known_robots, KnownRobots, self._on_known, latest=True),
             bus.subscribe(keys.charging_status, ChargingStatus, self._on_charging, latest=True),
             bus.subscribe(keys.processes(), ProcessReport, self._on_processes, latest=True),
         ]
@@ -239,12 +243,16 @@ class FleetView:
             self._bus.publish(self._keys.report_query, ReportQuery(source="operator"))
 
     def complete(self) -> bool:
-        """Tell whether all is known of each robot that is expected or was received, and whose leases a core reports."""
-        robots = self.present()
+        """Tell whether all is known of each robot that is expected, received or reports to a core, and its leases."""
+        robots = {*self.present(), *(self._known[1].present if self._known else ())}
         tables = (self._states, self._health, self._profiles)
-        return bool(robots) and all(table.keys() >= set(robots) for table in tables) and (
-            "core" not in self._nodes or math.isfinite(self._leases[0])
+        return bool(robots) and all(table.keys() >= robots for table in tables) and (
+            (self._known is None and "core" not in self._nodes) or math.isfinite(self._leases[0])
         )  # fmt: skip
+
+    def counted(self) -> bool:
+        """Tell whether a core has said which robots there are: then nothing has to be waited for that may yet come."""
+        return self._known is not None
 
     def received(self) -> int:
         """Return of how many robots, processes and metrics something has been received."""
@@ -297,7 +305,7 @@ class FleetView:
             ),
             summaries=tuple(self._summaries[metric] for metric in sorted(self._summaries)),
             request=self._request,
-            missing=tuple(sorted({*self._expected, *addressed}.difference(received))),
+            missing=tuple(sorted({*self._expected, *addressed, *self._known_to_core(now_s)}.difference(received))),
             leases=self._leases[1] if now_s - self._leases[0] <= LEASES_S else (),
             docks=() if charging is None else charging.docks,
             waiting=() if charging is None else charging.waiting,
@@ -308,6 +316,13 @@ class FleetView:
                 for state in report.processes
             ),
         )
+
+    def _known_to_core(self, now_s: float) -> tuple[str, ...]:
+        """Return robots that a core knows and that should have been received: what is not there is missing."""
+        if self._known is None or now_s - self._known[0] > LEASES_S:
+            return ()
+        known = self._known[1]
+        return (*known.absent, *(known.present if now_s - self._counted_s > SILENT_S else ()))
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -408,6 +423,10 @@ class FleetView:
 
     def _on_leases(self, message: Leases) -> None:
         self._leases = self._scheduler.now_s(), message.leases
+
+    def _on_known(self, message: KnownRobots) -> None:
+        self._known = self._scheduler.now_s(), message
+        self._counted_s = min(self._counted_s, self._known[0])
 
 
 def natural(name: str) -> tuple[str, int, str]:

@@ -351,7 +351,7 @@ def test_status_is_a_table_or_json(swarm: FakeSwarm) -> None:
 def test_some_robots_or_a_group_can_be_looked_at(swarm: FakeSwarm) -> None:
     text = run("status", "--robots", "r2,r7").stdout
     assert [line.split()[0] for line in text.splitlines()[2:3]] == ["r2"]
-    assert "MISSING, never reported: r7" in text
+    assert "MISSING, not reporting: r7" in text
     robots = json.loads(run("status", "--robots", "@scouts", "--json").stdout)["robots"]
     assert [robot["robot"] for robot in robots] == ["r1"]
     wrong = run("status", "--robots", "@scout")

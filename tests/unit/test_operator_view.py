@@ -208,7 +208,7 @@ def test_the_table_shows_everything_in_80_columns() -> None:
         "                                                        heartbeat is silent",
         "r3    -                -      -      -     -  12.0    0 SILENT for 12 s",
         "r1    flocking_bc   1.00  -2.50     90  0.25   0.1    0 moving",
-        "MISSING, never reported: r4",
+        "MISSING, not reporting: r4",
         "SILENT, no longer reporting: r3",
         "request ab12: flocking_bc running",
         "coverage: 25.4% of the area, area 101.60 m²",
@@ -321,7 +321,7 @@ def test_trouble_has_a_word_and_an_advice_for_its_reader() -> None:
 
 def test_trouble_stays_on_a_small_screen() -> None:
     lines = [line.rstrip() for line in text_of(full_snapshot(), max_rows=3, max_lines=2).splitlines()]
-    assert lines[-2:] == ["MISSING, never reported: r4", "SILENT, no longer reporting: r3"]
+    assert lines[-2:] == ["MISSING, not reporting: r4", "SILENT, no longer reporting: r3"]
 
 
 def test_a_clock_that_is_apart_is_named_with_what_to_do() -> None:

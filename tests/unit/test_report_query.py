@@ -10,7 +10,7 @@ from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
-from fullswarm.messages import ChargingStatus, HealthReport, Leases, ReportQuery, RobotProfiles, Summary
+from fullswarm.messages import ChargingStatus, HealthReport, KnownRobots, Leases, ReportQuery, RobotProfiles, Summary
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Runtime
 
@@ -42,7 +42,7 @@ def test_a_swarm_tells_all_of_itself_within_a_tenth_of_a_second() -> None:
         keys, heard = Keys(config.swarm), set[str]()
         for key, kind in (
             (keys.health(), HealthReport), (keys.profile(), RobotProfiles), (keys.leases, Leases),
-            (keys.charging_status, ChargingStatus), (keys.summary(), Summary),
+            (keys.charging_status, ChargingStatus), (keys.summary(), Summary), (keys.known_robots, KnownRobots),
         ):  # fmt: skip
             swarm.bus.subscribe(key, kind, lambda message: heard.add(type(message).__name__))
         swarm.run(0.03)
@@ -50,8 +50,9 @@ def test_a_swarm_tells_all_of_itself_within_a_tenth_of_a_second() -> None:
         view = FleetView(swarm.bus, keys, swarm.runtime)
         assert not view.complete()
         swarm.run(0.1)
-        assert heard >= {"HealthReport", "RobotProfiles", "Leases", "ChargingStatus", "Summary"}, before
+        assert heard >= {"HealthReport", "RobotProfiles", "Leases", "ChargingStatus", "Summary", "KnownRobots"}, before
         assert view.complete()
+        assert view.counted()
         seen = view.snapshot()
         assert [row.robot for row in seen.robots if row.profile is not None] == ["r1", "r2", "r3"]
         assert [dock.dock for dock in seen.docks] == ["d1"]

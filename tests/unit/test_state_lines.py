@@ -28,7 +28,7 @@ def test_a_pipe_gets_a_line_at_first_and_at_each_change() -> None:
             look(replace(SEEN, robots=(replace(ROW, age_s=float(age_s)),)))
     assert [line[:20] for line in lines[2:]] == ["r1: SILENT for 2 s, "]
     look(replace(SEEN, connected=False, missing=("r2",)))
-    assert set(lines[3:]) >= {"hub: LOST", "r2: MISSING, never reported"}
+    assert set(lines[3:]) >= {"hub: LOST", "r2: MISSING, not reporting"}
 
 
 def test_a_state_that_flickers_gets_a_line_a_second_at_most() -> None:

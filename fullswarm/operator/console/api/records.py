@@ -161,7 +161,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Robots(msgspec.Struct, frozen=True, kw_only=True):
-    """All robots by id, and those that were expected and never received."""
+    """All robots by id, and those of the fleet file or addressed by a request that the console has never received."""
 
     robots: tuple[Robot, ...]
     missing: tuple[str, ...]

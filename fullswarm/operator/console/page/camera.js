@@ -29,7 +29,7 @@ export class CameraView {
     });
   }
 
-  #figures = /** @type {Map<string, {element: HTMLElement, image: HTMLImageElement, words: HTMLElement}>} */ (new Map());
+  #figures = /** @type {Map<string, {element: HTMLElement, image: HTMLImageElement, awaited: HTMLElement, words: HTMLElement}>} */ (new Map());
 
   #watching = false;
 
@@ -44,7 +44,7 @@ export class CameraView {
     if (more.getAttribute("aria-expanded") === "true") more.click(); // the menu lies over the map
     if (open) byId("camera-close").focus({ preventScroll: true });
     void this.#watch();
-    if (!open) for (const { image } of this.#figures.values()) image.removeAttribute("src");
+    if (!open) for (const name of this.#figures.keys()) this.#picture(name, null);
   }
 
   /** Close it by its button, and give the focus back to what opens it. */
@@ -78,17 +78,31 @@ export class CameraView {
    * @param {string} jpeg
    */
   #show(camera, jpeg) {
-    if (!this.panel.hidden) this.#figure(camera).image.src = `data:image/jpeg;base64,${jpeg}`;
+    if (!this.panel.hidden) this.#picture(camera, `data:image/jpeg;base64,${jpeg}`);
+  }
+
+  /**
+   * Show a picture; null: say that none has come yet, as browsers show an image without one as a broken one.
+   * @param {string} camera
+   * @param {string | null} url
+   */
+  #picture(camera, url) {
+    const { image, awaited } = this.#figure(camera);
+    image.hidden = !url;
+    awaited.hidden = Boolean(url);
+    if (url) image.src = url;
+    else image.removeAttribute("src");
   }
 
   /** @param {string} name */
   #figure(name) {
     let figure = this.#figures.get(name);
     if (!figure) {
-      const image = make("img", { alt: `Picture of camera ${name}`, testid: `camera-${name}` });
+      const image = make("img", { alt: `Picture of camera ${name}`, testid: `camera-${name}`, hidden: true });
+      const awaited = make("p", { class: "camera-awaited", text: "No picture yet." });
       const words = make("span", { class: "camera-problem", role: "status" });
-      const element = make("figure", {}, image, make("figcaption", {}, make("strong", { text: name }), " ", words));
-      figure = { element, image, words };
+      const element = make("figure", {}, image, awaited, make("figcaption", {}, make("strong", { text: name }), " ", words));
+      figure = { element, image, awaited, words };
       this.#figures.set(name, figure);
       this.list.append(element);
     }

@@ -90,7 +90,7 @@ export class FleetTable {
 
   #summary() {
     const ids = this.store.ids();
-    const missing = this.store.missing.length ? ` · never reported: ${this.store.missing.join(", ")}` : "";
+    const missing = this.store.missing.length ? ` · not reporting: ${short(this.store.missing)}` : "";
     setText(byId("fleet-summary"), `${ids.length} robots${missing}`);
     byId("fleet-empty").hidden = ids.length > 0;
     byId("fleet-fine").hidden = ids.length === 0 || this.#rows.size > 0;

@@ -23,7 +23,7 @@ export class Summary {
 
   #update() {
     clearTimeout(this.#timer);
-    const { words, trouble } = fleetWords([...this.store.fleet.values()]);
+    const { words, trouble } = fleetWords([...this.store.fleet.values()], this.store.missing);
     setText(byId("fleet-words"), words);
     if (words === byId("fleet-told").textContent) return;
     const wait_ms = this.#said_ms + (trouble === this.#trouble ? EVERY_MS : URGENT_MS) - performance.now();
@@ -40,8 +40,9 @@ export class Summary {
 /**
  * Describe a fleet: "8 robots, 7 moving, 1 needs attention: r3, cliff". `trouble` is the part on those in trouble.
  * @param {Partial<Robot>[]} fleet
+ * @param {string[]} missing known, but not reporting
  */
-export function fleetWords(fleet) {
+export function fleetWords(fleet, missing = []) {
   const causes = /** @type {Map<string, string[]>} */ (new Map());
   for (const { robot = "", attention, silent, state_word } of fleet) {
     if (!attention && !silent) continue;
@@ -53,5 +54,6 @@ export function fleetWords(fleet) {
   const parts = [...causes].map(([cause, robots]) => `${robots.length === fleet.length && robots.length > 1 ? "all" : short(robots, NAMED)}, ${cause}`);
   const trouble = worried ? `${worried} need${worried === 1 ? "s" : ""} attention: ${parts.join("; ")}` : "";
   const count = `${fleet.length} robot${fleet.length === 1 ? "" : "s"}, ${moving || "none"} moving`;
-  return { words: fleet.length ? [count, trouble || "none needs attention"].join(", ") : "", trouble };
+  const absent = missing.length ? [`${short(missing, NAMED)} not reporting`] : [];
+  return { words: fleet.length ? [count, ...absent, trouble || "none needs attention"].join(", ") : "", trouble };
 }
