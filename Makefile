@@ -13,25 +13,25 @@ BROWSER := -m "not slow" tests/browser
 # busy machine made late comes in time; what is wrong fails again. Both reports are printed.
 AGAIN := --last-failed --last-failed-no-failures none -x
 
-.PHONY: help demo test test-fleet test-all check docs bench clean venv
+.PHONY: help demo test test-fleet test-all check docs bench clean venv compiled
 help:                  ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 venv: $(VENV)/.dev     ## only set up .venv
 
-demo: $(VENV)/.user    ## eight robots, and the address of a page to drive them from (ARGS=--headless: a show only)
+demo: $(VENV)/.user compiled ## eight robots, and the address of a page to drive them from (ARGS=--headless: a show only)
 	$(BIN)/fullswarm demo $(ARGS)
 
-test: $(VENV)/.dev     ## all tests that belong to a change
+test: $(VENV)/.dev compiled ## all tests that belong to a change
 	$(BIN)/pytest -q -n 2 -m "not slow" tests/unit $(ARGS)
 	$(BIN)/pytest -q -n 3 --dist loadfile $(LIVE) $(ARGS) || $(BIN)/pytest -q $(LIVE) $(AGAIN) $(ARGS)
 	$(BIN)/pytest -q $(ALONE) $(ARGS) || $(BIN)/pytest -q $(ALONE) $(AGAIN) $(ARGS)
 	$(BIN)/pytest -q $(BROWSER) $(ARGS) || $(BIN)/pytest -q $(BROWSER) $(AGAIN) $(ARGS)
 
-test-fleet: $(VENV)/.dev ## deploy to 16 computers: containers with systemd and sshd (root, Debian packages)
+test-fleet: $(VENV)/.dev compiled ## deploy to 16 computers: containers with systemd and sshd (root, Debian packages)
 	$(BIN)/pytest -q -rs -m "not slow" tests/fleet $(ARGS)
 
-test-all: $(VENV)/.dev ## the slow, exhaustive ones as well
+test-all: $(VENV)/.dev compiled ## the slow, exhaustive ones as well
 	HYPOTHESIS_PROFILE=searching $(BIN)/pytest -q tests $(ARGS)
 
 check: $(VENV)/.dev $(VENV)/page/.installed ## lint, types, layers, and the same for the console's JavaScript
@@ -47,7 +47,7 @@ check: $(VENV)/.dev $(VENV)/page/.installed ## lint, types, layers, and the same
 docs: $(VENV)/.dev     ## the documentation as a site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
-bench: $(VENV)/.dev    ## ratios against named references, in one run
+bench: $(VENV)/.dev compiled ## ratios against named references, in one run
 	$(BIN)/python -m benchmarks $(ARGS)
 
 clean:                 ## remove .venv and all caches
@@ -68,6 +68,10 @@ $(VENV)/.user: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@ $(VENV)/.user
+
+# Where PYTHONDONTWRITEBYTECODE is set, each process would compile the package at its start: a second of a processor.
+compiled: | $(VENV)/bin/python
+	@$(BIN)/python -m compileall -q fullswarm
 
 $(VENV)/page/.installed: tools/page/package.json tools/page/package-lock.json tools/page/.npmrc $(VENV)/.dev
 	@mkdir -p $(VENV)/page

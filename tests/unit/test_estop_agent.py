@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.agent.orders.estops import SETTLE_TIMEOUT_S, LatchFolder
+from fullswarm.agent.orders.inbox import REMEMBERED
 from fullswarm.config import SwarmConfig
 from fullswarm.launch.processes import RUN, STATE, latch_folder
 from fullswarm.messages import EStop, StopRequest
@@ -15,6 +16,7 @@ from tests.unit.agent_bench import TICK_S, Bench
 
 ORDER = EStop(id="e", engaged=True, source="ann", reason="smoke")
 FAR = {"goal": [39.0, 5.0], "gain": 1.0, "arrive_radius_m": 0.2}
+STICK = {"direction": [1.0, 0.0], "magnitude": 1.0, "speed_m_s": 0.3}
 
 
 @pytest.fixture
@@ -139,20 +141,54 @@ def test_a_stop_is_kept_until_something_is_started(tmp_path: Path) -> None:
     driving(bench)
     bench.bus.publish(bench.keys.stop, StopRequest(id="s", source="ann"))
     bench.run(1.0)
-    kept = folder.halt_of("r1", bench.runtime.now_s())
+    kept = folder.halt_of("r1", bench.runtime.now_s()).halt
     assert kept is not None
     assert (kept.id, kept.source, kept.estop) == ("s", "ann", False)
     assert kept.stamp_s == pytest.approx(bench.runtime.now_s() - 1.0, abs=0.05)
-    rebooted = LatchFolder(tmp_path, "boot 2").halt_of("r1", 7.0)
+    rebooted = LatchFolder(tmp_path, "boot 2").halt_of("r1", 7.0).halt
     assert rebooted is not None
     assert (rebooted.id, rebooted.stamp_s) == ("s", 7.0)
     (tmp_path / "r1.stop").write_bytes(b'{"clock"')
-    unread = folder.halt_of("r1", 9.0)
+    unread = folder.halt_of("r1", 9.0).halt
     assert unread is not None
     assert unread.stamp_s == 9.0
     driving(bench)
-    assert folder.halt_of("r1", 9.0) is None
-    assert not list(tmp_path.iterdir())
+    assert folder.halt_of("r1", 9.0).halt is None
+
+
+def test_a_request_that_a_stop_ended_stays_ended_after_a_restart_of_the_agent(tmp_path: Path) -> None:
+    """Also when the robot was driven by a stick since: a core whose disk was full comes back with the old request."""
+    folder = LatchFolder(tmp_path, "boot 1")
+    bench = Bench([(5.0, 5.0, 0.0)])
+    bench.agent.inbox.remember_latches(folder)
+    bench.enable("move_to_goal", FAR, request_id="old")
+    bench.run(0.5)
+    bench.bus.publish(bench.keys.stop, StopRequest(id="s", source="ann"))
+    bench.run(0.1)
+    for number in range(2 * REMEMBERED):
+        bench.enable("move", STICK, request_id=f"stick-{number}", expires_s=0.5)
+        bench.run(0.05)
+    assert bench.commanded.any()
+    bench.enable("move_to_goal", FAR, request_id="old")
+    bench.run(0.1)
+    assert not bench.acks[-1].accepted  # many new requests have not pushed it out
+
+    again = Bench([(5.0, 5.0, 0.0)])
+    again.agent.inbox.remember_latches(folder)
+    assert again.agent.inbox.halts == [None]
+    again.enable("move_to_goal", FAR, request_id="old")
+    again.run(0.5)
+    assert not again.acks[-1].accepted
+    assert "stopped" in again.acks[-1].reason
+    assert not again.commanded.any()
+    driving(again)
+
+
+def test_a_stop_kept_by_an_older_version_is_read(tmp_path: Path) -> None:
+    (tmp_path / "r1.stop").write_text('{"clock":"boot 1","halt":{"id":"s","stamp_s":3.0}}\n')
+    kept = LatchFolder(tmp_path, "boot 1").halt_of("r1", 9.0)
+    assert kept.halt is not None
+    assert (kept.halt.id, kept.halt.stamp_s, kept.voided) == ("s", 3.0, ())
 
 
 def test_a_disk_that_cannot_be_written_stops_nobody_less(tmp_path: Path) -> None:

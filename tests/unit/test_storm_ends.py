@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from fullswarm.agent.orders.estops import LatchFolder
@@ -13,6 +14,7 @@ from fullswarm.keys import Keys
 from fullswarm.messages import (
     BehaviourRequest,
     EStop,
+    Halt,
     HealthReport,
     Heartbeat,
     ParamReply,
@@ -57,16 +59,16 @@ def test_a_flood_of_stops_is_written_now_and_then_and_the_last_one_is_kept(tmp_p
     bench, written = Bench([(5.0, 5.0, 0.0)]), []
 
     class Counting(LatchFolder):
-        def keep_halt(self, robot: str, halt: object) -> None:
+        def keep_halt(self, robot: str, halt: Halt | None, voided: Iterable[str] = ()) -> None:
             written.append(halt)
-            super().keep_halt(robot, halt)  # type: ignore[arg-type]  # as it came
+            super().keep_halt(robot, halt, voided)
 
     bench.agent.inbox.remember_latches(Counting(tmp_path))
     for number in range(500):
         bench.bus.publish(bench.keys.stop, StopRequest(id=f"s{number}", source="ann"))
     bench.run(1.0)
     assert 1 <= len(written) <= 5
-    kept = LatchFolder(tmp_path).halt_of("r1", 1e6)
+    kept = LatchFolder(tmp_path).halt_of("r1", 1e6).halt
     assert kept is not None
     assert kept.id == "s499"
 

@@ -1,7 +1,8 @@
 """Latches and releases e-stops: carries each order out once, confirms it whenever asked for, keeps latches on disk.
 
 The newest stop of each robot is kept beside them, until the robot starts something: a core that was down when it was
-sent must learn of it from the robot, also when the robot's agent has been restarted in between.
+sent must learn of it from the robot, also when the robot's agent has been restarted in between. The requests that stops
+have ended are kept for longer: a core whose disk was full comes back with one of them.
 """
 
 from __future__ import annotations
@@ -208,15 +209,16 @@ log = structlog.get_logger()
 class KeptHalt(msgspec.Struct, frozen=True):
     """What a file ``<robot>.stop`` holds; `clock`: on which the stamp of the halt is, see ``clock_id``."""
 
-    clock: str
-    halt: Halt
+    clock: str = ""
+    halt: Halt | None = None  # None: the robot has started something since
+    voided: tuple[str, ...] = ()  # requests that stops have ended, the newest last
 
 
 class LatchFolder:
     """Files ``<robot>.estop``. What is in them is for people; that a file is there is the latch.
 
     So a file that was cut short by a power loss, or that cannot be read, still holds the robot. The newest stop or
-    e-stop of a robot that has started nothing since is in ``<robot>.stop``.
+    e-stop of a robot that has started nothing since is in ``<robot>.stop``, with the requests that stops have ended.
 
     Parameters
     ----------
@@ -228,33 +230,30 @@ class LatchFolder:
         self._folder, self._clock, self._disk = folder, clock, disk
         self._engaged: set[str] = set()  # robots whose latch this process has written
 
-    def keep_halt(self, robot: str, halt: Halt) -> None:
-        """Keep a stop. It does not wait for the disk: what it guards against is the end of the process."""
-        try:
-            self._disk.replace(self._halt_file(robot), msgspec.json.encode(KeptHalt(self._clock, halt)) + b"\n")
-        except OSError as error:
-            log.error("a restart of this agent would not know of the stop", robot=robot, error=str(error))
+    def keep_halt(self, robot: str, halt: Halt | None, voided: Iterable[str] = ()) -> None:
+        """Keep a stop, and which requests stops have ended; no stop: the robot has started something since.
 
-    def halt_of(self, robot: str, now_s: float) -> Halt | None:
-        """Return the stop that was kept; as of `now_s` where its time is not known, which is the safe side."""
+        It does not wait for the disk: what it guards against is the end of the process.
+        """
+        kept = KeptHalt(self._clock, halt, tuple(voided))
+        try:
+            self._disk.replace(self._halt_file(robot), msgspec.json.encode(kept) + b"\n")
+        except OSError as error:
+            log.error("a restart of this agent would not know of its stops", robot=robot, error=str(error))
+
+    def halt_of(self, robot: str, now_s: float) -> KeptHalt:
+        """Return what was kept; the stop as of `now_s` where its time is not known, which is the safe side."""
         try:
             kept = msgspec.json.decode(self._disk.read(self._halt_file(robot)), type=KeptHalt)
         except (FileNotFoundError, NotADirectoryError):
-            return None
+            return KeptHalt()
         except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
             log.error("cannot read its last stop: it is taken for stopped", robot=robot, error=str(error))
-            return Halt(id=f"unread {now_s:.3f}", stamp_s=now_s)
+            return KeptHalt(halt=Halt(id=f"unread {now_s:.3f}", stamp_s=now_s))
         halt = kept.halt
-        if self._clock and kept.clock == self._clock and halt.stamp_s <= now_s:
-            return halt
-        return msgspec.structs.replace(halt, stamp_s=now_s)
-
-    def forget_halt(self, robot: str) -> None:
-        """Take the stop away: the robot has started something."""
-        try:
-            self._disk.remove(self._halt_file(robot), sync=False)
-        except OSError as error:
-            log.error("a restart of this agent would take the stop for a new one", robot=robot, error=str(error))
+        if halt is None or (self._clock and kept.clock == self._clock and halt.stamp_s <= now_s):
+            return kept
+        return msgspec.structs.replace(kept, halt=msgspec.structs.replace(halt, stamp_s=now_s))
 
     def holds(self, robot: str) -> bool:
         """Tell whether `robot` was latched and never released; when in doubt it was."""

@@ -174,11 +174,11 @@ class Inbox:
         if not request.enable:
             self._drop(row)
             return NONE
-        epoch.see(request.request_id)
+        epoch.see(request)
         if self._state.estop[row]:
             return reason(Code.ESTOP_LATCHED)
-        if request.request_id in epoch.voided:
-            return voided(epoch.voided[request.request_id])
+        if (why := epoch.why_void(request.request_id)) is not None:
+            return voided(why)
         hazards = 0 if self._state.reading is None else int(self._state.reading.hazards[row])
         if hazards & UNSAFE:
             # If accepted, the robot would drive off while a person puts it back on safe ground.
@@ -202,7 +202,7 @@ class Inbox:
         except FullswarmError as error:
             return given(str(error))
         if self.halts[row] is not None and self._folder is not None:
-            self._folder.forget_halt(self._fleet.ids[row])
+            self._folder.keep_halt(self._fleet.ids[row], None, epoch.lasting_voided())
         self.halts[row] = None
         self._controller.law_failed[row] = False
         self.ended[row], self.results[row] = NONE, None
@@ -224,7 +224,7 @@ class Inbox:
             if self.charging.away(row):
                 self._drop(row)
             return
-        self._epochs[row].voided[task.request.request_id] = why
+        self._epochs[row].void(task.request, why)
         self.ended[row] = why
         self._drop(row)
 
@@ -306,7 +306,9 @@ class Inbox:
         self._folder = folder
         self.estops.remember(folder)
         for row, robot in enumerate(self._fleet.ids):
-            self.halts[row] = halt = folder.halt_of(robot, self._scheduler.now_s())
+            kept = folder.halt_of(robot, self._scheduler.now_s())
+            self.halts[row] = halt = kept.halt
+            self._epochs[row].recall(kept.voided, reason(Code.STOPPED, by="an operator"))
             if self._state.estop[row] and (halt is None or not halt.estop):
                 self._note_halt(row, None, estop=True)
 
@@ -340,7 +342,7 @@ class Inbox:
         for row in rows:
             halt = self.halts[row]
             if halt is not None:
-                folder.keep_halt(self._fleet.ids[row], halt)
+                folder.keep_halt(self._fleet.ids[row], halt, self._epochs[row].lasting_voided())
 
     def watch_estops(self, now_s: float) -> None:
         """Confirm the e-stops of robots that have come to a standstill, and keep stops that have not been kept yet."""
@@ -398,9 +400,7 @@ class Cores:
 class CoreEpoch:
     """Decides which core one robot obeys and which requests it refuses.
 
-    Attributes
-    ----------
-    voided : request id → why it may not start again
+    Intents of a stick are remembered apart: there are ten new ones a second, and the others must outlast them.
     """
 
     def __init__(self, cores: Cores) -> None:
@@ -408,7 +408,9 @@ class CoreEpoch:
         self._core = ""
         self._replaced: Recent[str, None] = Recent(REMEMBERED)
         self._seen: Recent[str, None] = Recent(REMEMBERED)
-        self.voided: Recent[str, Reason] = Recent(REMEMBERED)
+        self._voided: Recent[str, Reason] = Recent(REMEMBERED)
+        self._seen_intents: Recent[str, None] = Recent(REMEMBERED)
+        self._voided_intents: Recent[str, Reason] = Recent(REMEMBERED)
 
     def replaced(self, core: str, now_s: float) -> bool:
         """Tell whether `core` has been replaced by another one, so that its messages are late; else follow it.
@@ -425,11 +427,30 @@ class CoreEpoch:
         self._core = core
         return False
 
-    def see(self, request_id: str) -> None:
+    def see(self, request: ControlRequest) -> None:
         """Remember a request that was to start here."""
-        self._seen[request_id] = None
+        (self._seen_intents if request.expires_s > 0.0 else self._seen)[request.request_id] = None
+
+    def void(self, request: ControlRequest, why: Reason) -> None:
+        """Have a request start here no more."""
+        (self._voided_intents if request.expires_s > 0.0 else self._voided)[request.request_id] = why
+
+    def why_void(self, request_id: str) -> Reason | None:
+        """Return why a request may not start again; None: it may."""
+        table = self._voided if request_id in self._voided else self._voided_intents
+        return table.get(request_id)
 
     def halt(self, why: Reason) -> None:
         """Void every request seen so far: a stop overrules also those that are wanted but not running."""
-        for request_id in self._seen:
-            self.voided[request_id] = why
+        for seen, table in ((self._seen, self._voided), (self._seen_intents, self._voided_intents)):
+            for request_id in seen:
+                table[request_id] = why
+
+    def lasting_voided(self) -> tuple[str, ...]:
+        """Return the requests that may not start again, the newest last, without intents: those end by themselves."""
+        return tuple(self._voided)
+
+    def recall(self, request_ids: Iterable[str], why: Reason) -> None:
+        """Void requests that a process before this one has voided."""
+        for request_id in request_ids:
+            self._voided[request_id] = why
