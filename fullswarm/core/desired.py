@@ -94,12 +94,13 @@ class Desired:
     acked_s: float = -math.inf
     halts: Recent[str, None] = field(default_factory=lambda: Recent(KNOWN_HALTS))  # of this robot, by their ids
     _maybe_active: str = field(default="", repr=False)  # an enable in flight when the order changed
+    _enabled: ControlRequest | None = field(default=None, repr=False)  # by which the robot runs `order`
 
     def set_order(self, order: Order | None, now_s: float) -> None:
         """Replace the order."""
         if self.in_flight is not None and self.in_flight.enable:
             self._maybe_active = self.in_flight.behaviour
-        self.order, self.settled, self.refused = order, False, NONE
+        self.order, self.settled, self.refused, self._enabled = order, False, NONE, None
         self.expires_at_s = now_s + order.expires_s if order is not None and order.intent else math.inf
         if self.in_flight is not None and (order is None or self.in_flight.enable):
             self._clear_in_flight()
@@ -178,7 +179,7 @@ class Desired:
             self.active = self._maybe_active = ""
         elif ack.accepted:
             self.active, self._maybe_active = flight.behaviour, ""
-            self.settled = True
+            self.settled, self._enabled = True, flight
         else:
             self.refused = given(ack.reason or "no reason given", ack.code, ack.parameters)
         return True
@@ -192,7 +193,7 @@ class Desired:
             Empty, or why the robot itself has ended the order: then the order is to be dropped.
         """
         if restarted:
-            self._clear_in_flight()
+            self._send_again(now_s)
             self.acked_sequence = 0
             self._maybe_active = ""
         result = health.result
@@ -240,6 +241,7 @@ class Desired:
         """Use a report in place of a lost acknowledgement."""
         flight = self.in_flight
         if flight is not None and flight.enable and (health.core != self.core or health.sequence >= flight.sequence):
+            self._enabled = flight
             self._clear_in_flight()
         if self.in_flight is None and not self.refused:
             self.active, self._maybe_active, self.settled = health.behaviour, "", True
@@ -251,6 +253,16 @@ class Desired:
         idle = running in IDLE
         self.active = "" if idle else running
         self.settled = self.settled and idle and self.order is not None and self.order.enables_nothing
+
+    def _send_again(self, now_s: float) -> None:
+        """Have a new process of the agent get what the one before it was sent.
+
+        Under the same number: its first report may come after its answer, and then it would start it a second time.
+        """
+        flight = self.in_flight if self.in_flight is not None and self.in_flight.enable else self._enabled
+        self._clear_in_flight()
+        if flight is not None:
+            self.in_flight, self.tries, self.resend_s, self.settled = flight, 0, now_s, False
 
     def _clear_in_flight(self) -> None:
         self.in_flight, self.resend_s = None, math.inf

@@ -351,15 +351,18 @@ class Judge:
         return "" if ask is None else ask.behaviour
 
     def stepped(self, speeds: Sequence[float], pairs: Iterable[tuple[int, int]]) -> None:
-        """Judge how the bodies move, m/s in the order of the robots, and which touch: second negative: a wall."""
+        """Judge how the bodies move, m/s in the order of the robots, and which touch: second negative: a wall.
+
+        A body that touches another one may be pushed by it; the contact is judged by itself.
+        """
         self.steps += 1
-        now_s, names = self._now_s(), tuple(self._robots)
-        for name, speed in zip(names, speeds, strict=True):
+        now_s, names, touching = self._now_s(), tuple(self._robots), set(pairs)
+        pushed = {each for pair in touching | self._touching if min(pair) >= 0 for each in pair}
+        for row, (name, speed) in enumerate(zip(names, speeds, strict=True)):
             robot = self._robots[name]
-            if abs(speed) > ROLLS and now_s - robot.commanded_s > BOUNDS_S["standing"]:
+            if abs(speed) > ROLLS and row not in pushed and now_s - robot.commanded_s > BOUNDS_S["standing"]:
                 text = f"it moves at {speed:.2f} m/s, {now_s - robot.commanded_s:.3f} s after its last set-point"
                 self._violate("standing", name, text, "")
-        touching = set(pairs)
         for pair in touching - self._touching:
             self._touched(pair, names, now_s)
         self._touching = touching

@@ -10,7 +10,7 @@ import pytest
 
 from fullswarm.messages import ControlAck, ControlRequest, HealthReport, Message
 from fullswarm.store import Store
-from tests.unit.core_swarm import Swarm, fresh
+from tests.unit.core_swarm import KEYS, Swarm, fresh, health
 
 swarm = pytest.fixture(fresh)
 
@@ -66,6 +66,33 @@ def test_a_robot_started_again_is_told_again(swarm: Swarm) -> None:
     assert swarm.robots["r1"].behaviour == "flocking"
     assert swarm.status("a").missing == ()
     assert swarm.robots["r0"].log == [("on", "flocking", "a")]
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_a_restarted_agent_starts_a_request_once_though_its_first_report_comes_late(
+    swarm: Swarm, answered: bool
+) -> None:
+    robot = swarm.robots["r1"]
+    robot.kill()
+    swarm.ask("a", "flocking", "r1")
+    swarm.run(0.01)  # sent to the process that has died
+    robot.start()
+    swarm.bus.drop = lambda _, message: (
+        isinstance(message, HealthReport) or (isinstance(message, ControlAck) and not answered)
+    )
+    swarm.run(0.4)
+    assert robot.log == [("on", "flocking", "a")]
+    swarm.bus.drop = lambda _key, _message: False
+    process = f"r1-{robot.starts}"
+    swarm.bus.publish(KEYS.health("r1"), HealthReport(host="r1", process=process, version="", robots=(health("r1"),)))
+    swarm.run(2.0)
+    assert robot.log == [("on", "flocking", "a")]
+    assert swarm.status("a").running == ("r1",)
+    robot.kill()
+    swarm.run(0.2)
+    robot.start()
+    swarm.run(0.2)
+    assert robot.log == [("on", "flocking", "a")] * 2  # another process, which has to start it
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from fullswarm.agent.orders.estops import LatchFolder
 from fullswarm.config.mission_file import parse_mission
 from fullswarm.messages import STOP, BehaviourRequest, ControlRequest, EStop, Message, MissionStatus, StopRequest, Value
 from fullswarm.operator.missions import MissionClient
@@ -174,7 +175,8 @@ def test_what_was_asked_for_after_a_stop_outlives_an_agent(lab: Lab, tmp_path: P
     whole.start_agent("r1")
     assert whole.drives_within(3.0) == ["r1"]
     assert whole.latches is not None
-    assert sorted(file.name for file in whole.latches.iterdir()) == ["r0.stop", "r2.stop"]
+    kept = LatchFolder(whole.latches, "lab")
+    assert [kept.halt_of(robot, 0.0).halt is None for robot in ("r0", "r1", "r2")] == [False, True, False]
 
 
 def test_a_core_killed_at_any_write_of_a_stop_does_not_undo_it(tmp_path: Path) -> None:

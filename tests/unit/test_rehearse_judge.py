@@ -190,6 +190,23 @@ def test_a_body_that_goes_on_and_one_that_touches() -> None:
     assert scene.judge.excused == 1
 
 
+def test_a_body_that_is_pushed_does_not_move_by_itself() -> None:
+    scene = Scene()
+    scene.moves()
+    scene.at(5.0)
+    scene.judge.stepped((0.05, 0.3), ((0, 1),))
+    assert scene.kinds() == ["contact"]
+    scene.judge.stepped((0.05, 0.0), ())  # it was pushed in the step before
+    assert scene.kinds() == ["contact"]
+    scene.judge.stepped((0.05, 0.0), ())
+    assert scene.kinds() == ["contact", "standing"]
+    scene = Scene()
+    scene.moves()
+    scene.at(5.0)
+    scene.judge.stepped((0.05, 0.0), ((0, -1),))  # a wall pushes nothing
+    assert "standing" in scene.kinds()
+
+
 def test_a_request_that_is_carried_out_twice_and_an_older_one_after_a_newer() -> None:
     scene = Scene()
     scene.accept("q", 1)
