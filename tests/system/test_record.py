@@ -163,7 +163,10 @@ def test_a_run_is_recorded_from_its_start_to_its_end(tmp_path: Path) -> None:
     assert again.returncode == 0, again.stdout + again.stderr
     outcomes = json.loads(again.stdout)
     assert sorted(each["name"] for each in outcomes) == ["centralised", "core", "r1", "r2", "r2"]
-    assert all(each["commands"] > 20 for each in outcomes if each["name"].startswith("r"))
+    commands = {name: [each["commands"] for each in outcomes if each["name"] == name] for name in ("r1", "r2")}
+    assert min(commands["r1"]) > 20
+    assert min(commands["r2"]) > 0  # the second one may have come up just before the end
+    assert sum(commands["r2"]) > 20
 
 
 def test_up_refuses_a_file_that_is_there_before_it_starts_anything(tmp_path: Path) -> None:
