@@ -61,12 +61,17 @@ log = structlog.get_logger()
 
 
 class Halted(NamedTuple):
-    """A stop or an e-stop, whichever way it came; no `robots`: all."""
+    """A stop or an e-stop, whichever way it came; no `robots`: all.
+
+    `clock` and `ordered_s` are the operator's own clock and time, of a stop that a robot has reported.
+    """
 
     id: str
     robots: tuple[str, ...]
     why: str
     at_s: float
+    clock: str = ""
+    ordered_s: float = 0.0
 
 
 class MainController:
@@ -259,8 +264,10 @@ class MainController:
     def _refuse(self, request: BehaviourRequest, why: Reason) -> None:
         self._board.publish(_status(request.id, request.behaviour, "refused", why, request.robots))
 
-    def _notify(self, stop_id: str, robots: Sequence[str], why: str, at_s: float | None = None) -> None:
-        halted = Halted(stop_id, tuple(robots), why, self._scheduler.now_s() if at_s is None else at_s)
+    def _notify(self, stop_id: str, robots: Sequence[str], why: str) -> None:
+        self._tell(Halted(stop_id, tuple(robots), why, self._scheduler.now_s()))
+
+    def _tell(self, halted: Halted) -> None:
         for callback in self._on_stop:
             callback(halted)
 
@@ -272,7 +279,8 @@ class MainController:
         if self.knows(halt.id) or self.knows(stop_id):
             return
         by = halt.source or UNNAMED
-        self._notify(stop_id, (robot,), f"e-stop by {by}" if halt.estop else f"stopped by {by}", at_s)
+        why = f"e-stop by {by}" if halt.estop else f"stopped by {by}"
+        self._tell(Halted(stop_id, (robot,), why, at_s, halt.clock, halt.ordered_s))
         order = self._handler.order_of(robot)
         older = order is not None and order.clock == halt.clock != "" and order.stamp_s < halt.ordered_s
         if older or self._handler.ordered_s(robot) <= at_s:  # not if it was asked for something since

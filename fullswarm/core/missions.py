@@ -113,6 +113,7 @@ class Missions:
         self._replies: Recent[str, MissionReply] = Recent(256)
         self._stops: Recent[str, None] = Recent(256)
         self._started_s: dict[str, float] = {}  # when this core started or resumed a mission
+        self._ordered: dict[str, tuple[str, float]] = {}  # clock and stamp of the operator's request to do so
         self._timer: Timer | None = None
         self._ticked_s = scheduler.now_s()
         self._restore()
@@ -184,7 +185,7 @@ class Missions:
         number = 1 + max((each.state.number for each in self._missions.values()), default=0)
         mission = Mission.new(request.id, request.plan, _operator(request), number)
         self._missions[request.id], self._slots[request.id] = mission, slot
-        self._started_s[request.id] = self._scheduler.now_s()
+        self._note_start(request.id, request)
         self._begin_ready(mission)
         self._changed(mission, plan=True)
         self._advance(mission, 0.0)
@@ -196,13 +197,17 @@ class Missions:
             raise RequestRefused(f"mission '{mission.plan.name}' is not paused: it is {mission.state.phase}")
         self._admit(request, self._robots(mission))
         mission.state.change("resume")
-        self._started_s[mission.state.mission] = self._scheduler.now_s()
+        self._note_start(mission.state.mission, request)
         mission.state.operator = _operator(request)
         self._absent_s.clear()
         for each in mission.steps():
             if each.state.kept:
                 each.state.attempt += 1
         self._begin_ready(mission)
+
+    def _note_start(self, key: str, request: MissionRequest) -> None:
+        self._started_s[key] = self._scheduler.now_s()
+        self._ordered[key] = (request.clock or request.source) if request.stamp_s else "", request.stamp_s
 
     def _confirm(self, mission: Mission, request: MissionRequest) -> None:
         name = mission.plan.name
@@ -317,8 +322,10 @@ class Missions:
         self._stops[stop.id] = None
         for key, mission in self._missions.items():
             touched = not stop.robots or not set(stop.robots).isdisjoint(self._robots(mission))
-            # What was restored counts as older than any stop.
-            older = self._started_s.get(key, -math.inf) <= stop.at_s
+            # What was restored counts as older than any stop. A request that came late was still sent before the stop.
+            clock, ordered_s = self._ordered.get(key, ("", 0.0))
+            sent_before = clock == stop.clock != "" and ordered_s < stop.ordered_s
+            older = sent_before or self._started_s.get(key, -math.inf) <= stop.at_s
             if touched and older and mission.pause(stop.why):
                 self._changed(mission)
                 self._advance(mission, 0.0)
@@ -507,6 +514,7 @@ class Missions:
         del self._missions[oldest]
         self._published.pop(oldest, None)
         self._started_s.pop(oldest, None)
+        self._ordered.pop(oldest, None)
         self._places.pop(oldest, None)
         return self._slots.pop(oldest)
 

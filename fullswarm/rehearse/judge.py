@@ -234,7 +234,8 @@ class Judge:
     def published(self, sender: str, message: Message) -> None:
         """Note a message that a process publishes now."""
         if isinstance(message, EStop):
-            self._issued.setdefault((message.id, message.engaged), self._now_s())
+            issued_s = self._repeated_s(message) if sender == "core" and message.engaged else self._now_s()
+            self._issued.setdefault((message.id, message.engaged), issued_s)
         elif isinstance(message, ControlAck) and sender in self._robots:
             self._acknowledged(self._robots[sender], message)
         elif isinstance(message, HealthReport) and sender in self._robots:
@@ -243,6 +244,12 @@ class Judge:
             self._decided(message)
         elif sender == "core" and isinstance(message, Leases):
             self._leased(message)
+
+    def _repeated_s(self, order: EStop) -> float:
+        """Return when an operator engaged the e-stop that the core repeats: a release that came later is newer."""
+        engaged = (ask for ask in self.asks.values() if ask.kind == "e-stop")
+        meant = (ask.at_s for ask in engaged if not order.robots or not set(ask.robots).isdisjoint(order.robots))
+        return max(meant, default=self._now_s())
 
     def _acknowledged(self, robot: _Robot, ack: ControlAck) -> None:
         if not ack.accepted:

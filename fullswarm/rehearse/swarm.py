@@ -124,6 +124,8 @@ class RehearsedSwarm:
         bus, identity = self.network.bus_of(process), Identity(robot, process.process_id)
         agent = nodes.agent(bus, process.runtime, self.config, fleet, identity, process.runtime.stats)
         agent.inbox.remember_latches(LatchFolder(disk.folder / "estop", process.host.name, disk))
+        if self.lies[robot].kind in (STALE, UNPLUGGED):  # a new driver reads truly once
+            self.judge.deceived(robot, self.simulation.now_s())
 
     def _build_operator(self, process: SimProcess) -> None:
         self.players[process.name] = Player(

@@ -12,7 +12,18 @@ import pytest
 
 from fullswarm.agent.orders.estops import LatchFolder
 from fullswarm.config.mission_file import parse_mission
-from fullswarm.messages import STOP, BehaviourRequest, ControlRequest, EStop, Message, MissionStatus, StopRequest, Value
+from fullswarm.messages import (
+    STOP,
+    BehaviourRequest,
+    ControlRequest,
+    EStop,
+    Message,
+    MissionRequest,
+    MissionStatus,
+    StopRequest,
+    Value,
+)
+from fullswarm.operator.client import Operator
 from fullswarm.operator.missions import MissionClient
 from tests.unit.mission_lab import Killed, MortalStore
 from tests.unit.whole_swarm import KEYS, Whole
@@ -107,6 +118,34 @@ def test_a_mission_stopped_while_the_core_is_down_stays_stopped(
     assert lab.status is not None
     assert lab.status.phase == "paused", lab.status
     assert " by op" in lab.status.reason
+
+
+@pytest.mark.parametrize("stopped_after", [True, False])
+def test_a_resumption_that_reaches_the_next_core_is_as_old_as_it_is(lab: Lab, stopped_after: bool) -> None:
+    """The new core receives it before the robots report the stop; whichever was asked last holds."""
+    lab.start()
+    lab.missions.ask("pause")
+    lab.whole.run(0.5)
+    lab.whole.kill_core()
+    lab.whole.run(0.1)
+    stopper = Operator(lab.whole.bus, KEYS, lab.whole.runtime, "op", clock="lab")  # of the same computer
+    stopper = Operator(lab.whole.bus, KEYS, lab.whole.runtime, "op", clock="lab")  # of the same computer
+    if not stopped_after:
+        stopper.stop()
+        lab.whole.run(0.3)
+    resume = MissionRequest(
+        id="late", op="resume", source="anna", operator="anna", clock="lab", stamp_s=lab.whole.runtime.now_s()
+    )
+    lab.whole.run(0.3)
+    if stopped_after:
+        stopper.stop()
+        lab.whole.run(0.5)
+    lab.whole.start_core()
+    lab.whole.bus.publish(KEYS.mission_request, resume)
+    driven = lab.whole.drives_within(5.0)
+    assert lab.status is not None
+    assert (driven == [], lab.status.phase) == (stopped_after, "paused" if stopped_after else "running")
+    stopper.close()
 
 
 def test_a_stop_of_one_robot_pauses_the_mission_of_all(lab: Lab) -> None:

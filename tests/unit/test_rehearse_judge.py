@@ -190,6 +190,31 @@ def test_a_body_that_goes_on_and_one_that_touches() -> None:
     assert scene.judge.excused == 1
 
 
+def test_an_estop_that_the_core_repeats_is_as_old_as_the_operators() -> None:
+    scene = Scene()
+    scene.estop("e", engaged=True)
+    scene.at(2.0)
+    release = EStop(id="f", engaged=False)
+    scene.judge.asked(Ask(2.0, "bob", "release", "f", ("r1", "r2")))
+    scene.judge.published("bob", release)
+    scene.at(2.5)
+    repeated = EStop(id="core-estop-1", engaged=True, robots=("r1",), source="core")
+    scene.judge.published("core", repeated)
+    scene.judge.handled("r1", repeated)
+    scene.at(2.6)
+    scene.judge.handled("r1", release)
+    scene.at(3.0)
+    scene.report("")
+    assert scene.kinds() == []
+    newer = EStop(id="g", engaged=True)
+    scene.judge.asked(Ask(3.0, "bob", "e-stop", "g", ("r1", "r2")))
+    scene.judge.published("bob", newer)
+    scene.judge.handled("r1", newer)
+    scene.at(3.5)
+    scene.report("")
+    assert scene.kinds() == ["e-stop"]
+
+
 def test_a_body_that_is_pushed_does_not_move_by_itself() -> None:
     scene = Scene()
     scene.moves()
