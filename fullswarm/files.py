@@ -60,8 +60,8 @@ class Disk(Protocol):
         """Replace `file` in its folder, made when missing, without waiting for the disk."""
         ...
 
-    def remove(self, file: Path, *, sync: bool) -> None:
-        """Remove `file` if it is there; `sync` waits for the disk."""
+    def remove(self, file: Path) -> None:
+        """Remove `file` if it is there, and wait for the disk."""
         ...
 
 
@@ -96,12 +96,11 @@ class MachineDisk:
         part.write_bytes(content)
         part.replace(file)
 
-    def remove(self, file: Path, *, sync: bool) -> None:
+    def remove(self, file: Path) -> None:
         """Remove `file` if it is there."""
         with suppress(FileNotFoundError, NotADirectoryError):
             file.unlink()
-            if sync:
-                self._sync(file.parent)
+            self._sync(file.parent)
 
     def _sync(self, folder: Path) -> None:
         """Have the names in a folder on the disk too; Windows opens no folder and writes them with the file."""

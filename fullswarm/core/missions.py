@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import msgspec
 import structlog
@@ -74,6 +75,22 @@ class PlanRefused(RequestRefused):
         super().__init__("; ".join(each.text for each in self.problems)[:1000])
 
 
+class Start(NamedTuple):
+    """An operator's request to start or resume a mission, as this core carried it out.
+
+    `at_s` is on this core's clock; `clock` and `sent_s` are the operator's, `clock` is empty if it was not dated.
+    """
+
+    at_s: float
+    clock: str
+    sent_s: float
+
+    def precedes(self, stop: Halted) -> bool:
+        """Tell whether a stop is newer: a request that comes late was still sent before it."""
+        sent_before = self.clock == stop.clock != "" and self.sent_s < stop.ordered_s
+        return sent_before or self.at_s <= stop.at_s
+
+
 class Missions:
     """Runs missions by requests to the main controller.
 
@@ -112,8 +129,7 @@ class Missions:
         self._absent_s: dict[str, float] = {}  # robot → since when, while a step needs it
         self._replies: Recent[str, MissionReply] = Recent(256)
         self._stops: Recent[str, None] = Recent(256)
-        self._started_s: dict[str, float] = {}  # when this core started or resumed a mission
-        self._ordered: dict[str, tuple[str, float]] = {}  # clock and stamp of the operator's request to do so
+        self._starts: dict[str, Start] = {}  # of missions that this core started or resumed, the newest
         self._timer: Timer | None = None
         self._ticked_s = scheduler.now_s()
         self._restore()
@@ -206,8 +222,8 @@ class Missions:
         self._begin_ready(mission)
 
     def _note_start(self, key: str, request: MissionRequest) -> None:
-        self._started_s[key] = self._scheduler.now_s()
-        self._ordered[key] = (request.clock or request.source) if request.stamp_s else "", request.stamp_s
+        clock = (request.clock or request.source) if request.stamp_s else ""
+        self._starts[key] = Start(self._scheduler.now_s(), clock, request.stamp_s)
 
     def _confirm(self, mission: Mission, request: MissionRequest) -> None:
         name = mission.plan.name
@@ -322,11 +338,8 @@ class Missions:
         self._stops[stop.id] = None
         for key, mission in self._missions.items():
             touched = not stop.robots or not set(stop.robots).isdisjoint(self._robots(mission))
-            # What was restored counts as older than any stop. A request that came late was still sent before the stop.
-            clock, ordered_s = self._ordered.get(key, ("", 0.0))
-            sent_before = clock == stop.clock != "" and ordered_s < stop.ordered_s
-            older = sent_before or self._started_s.get(key, -math.inf) <= stop.at_s
-            if touched and older and mission.pause(stop.why):
+            start = self._starts.get(key)  # what was restored counts as older than any stop
+            if touched and (start is None or start.precedes(stop)) and mission.pause(stop.why):
                 self._changed(mission)
                 self._advance(mission, 0.0)
 
@@ -513,8 +526,7 @@ class Missions:
         oldest = min(ended, key=lambda state: state.number).mission
         del self._missions[oldest]
         self._published.pop(oldest, None)
-        self._started_s.pop(oldest, None)
-        self._ordered.pop(oldest, None)
+        self._starts.pop(oldest, None)
         self._places.pop(oldest, None)
         return self._slots.pop(oldest)
 

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from fullswarm import kept
 from fullswarm.bus import Bus
+from fullswarm.bus.report_query import ReportsOnQuery
 from fullswarm.clock import wall_time_s
 from fullswarm.config import SwarmConfig
 from fullswarm.core.behaviours import PREFIX, Library
@@ -71,8 +72,9 @@ class CoreNode:
         keys, self._sequence = self._keys, 0
         self.settings = Settings(store, config)
         self.library = Library(store)
-        silence_s = lambda: self.settings.presence_silence_s  # noqa: E731
-        self.roster = Roster(bus, keys, scheduler, config.robots, silence_s, process)
+        self.roster = Roster(
+            bus, keys, scheduler, config.robots, lambda: self.settings.presence_silence_s, process
+        )  # fmt: skip
         self.remapper = Remapper(bus, keys, scheduler, store, process)
         latches = Latches(bus, keys, scheduler, store, self.roster, process)
         board, request_order = StatusBoard(bus, keys, scheduler), RequestOrder()
@@ -105,9 +107,11 @@ class CoreNode:
         checks |= {f"{prefix}*": check for prefix, check in kept.CHECKS.items()}
         params = ParamServer(bus, keys, NODE, store, checks, self.library.expand, now_s=scheduler.now_s)
         self.relay = StateRelay(bus, keys, scheduler, config.agent.sensing_radius_m, config.state_cell_m)
+        queries = ReportsOnQuery(bus, keys, scheduler, self._beat)
         self._parts: tuple[Closing, ...] = (
             self.charging, self.missions, controller, authority, self.handler, board, self.remapper, latches,
-            self.relay, roster, params, ClockServer(bus, keys, scheduler, process, wall_s), *reversed(self.extra),
+            self.relay, roster, params, queries, ClockServer(bus, keys, scheduler, process, wall_s),
+            *reversed(self.extra),
         )  # fmt: skip
         self._timers = [
             scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0),

@@ -156,7 +156,10 @@ TOPICS: tuple[Topic, ...] = (
     Topic("broadcast/*/<host>", (BehaviourBroadcast,), _OWN_ROBOT, _NEIGHBOURS),
     Topic("profile/*/<host>", (RobotProfiles,), _OWN_ROBOT, _any("robot", "core", "centralised") | _PEOPLE),
     Topic(
-        "report/query", (ReportQuery,), _OPERATORS | _any("core", "centralised"), _any("core", "world") | _NEIGHBOURS
+        "report/query",
+        (ReportQuery,),
+        _OPERATORS | _any("core", "centralised"),
+        _any("core", "centralised", "world") | _NEIGHBOURS,
     ),
     Topic("reception/<host>", (Reception,), _OWN_ROBOT, _any("core", "observer")),
     Topic("relay/<host>", (RelayedStates,), _CORE, _OWN_ROBOT | _any("observer")),

@@ -348,9 +348,8 @@ class FeedDisk:
         """Collect the call."""
         self._change(ports.DISK_REPLACE, file, content)
 
-    def remove(self, file: Path, *, sync: bool) -> None:
+    def remove(self, file: Path) -> None:
         """Collect the call."""
-        del sync
         self._change(ports.DISK_REMOVE, file, b"")
 
     def _change(self, port: str, file: Path, content: bytes) -> None:

@@ -242,9 +242,9 @@ class JournalDisk:
         """Pass on."""
         self._change(DISK_REPLACE, file, content, lambda: self._inner.replace(file, content))
 
-    def remove(self, file: Path, *, sync: bool) -> None:
+    def remove(self, file: Path) -> None:
         """Pass on."""
-        self._change(DISK_REMOVE, file, b"", lambda: self._inner.remove(file, sync=sync))
+        self._change(DISK_REMOVE, file, b"", lambda: self._inner.remove(file))
 
     def _change(self, port: str, file: Path, content: bytes, call: Callable[[], None]) -> None:
         self._journal.note((Kind.ASK, port, (file.name, content)))

@@ -247,7 +247,8 @@ class FleetView:
         robots = {*self.present(), *(self._known[1].present if self._known else ())}
         tables = (self._states, self._health, self._profiles)
         return bool(robots) and all(table.keys() >= robots for table in tables) and (
-            (self._known is None and "core" not in self._nodes) or math.isfinite(self._leases[0])
+            (self._known is None and "core" not in self._nodes)
+            or ("core" in self._nodes and math.isfinite(self._leases[0]))
         )  # fmt: skip
 
     def counted(self) -> bool:

@@ -67,9 +67,9 @@ class RehearsedDisk:
         self.before_write()
         self._machine.replace(file, content)
 
-    def remove(self, file: Path, *, sync: bool) -> None:
+    def remove(self, file: Path) -> None:
         """Remove `file` if it is there; a full disk can do that."""
-        self._machine.remove(file, sync=sync)
+        self._machine.remove(file)
 
     def tear(self, chance: random.Random) -> None:
         """Cut each small file at any byte, as a power cut in the middle of a write does."""

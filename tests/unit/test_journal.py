@@ -255,7 +255,7 @@ def test_errors_of_a_disk_come_again() -> None:
         def replace(self, file: Path, content: bytes) -> None:
             pass
 
-        def remove(self, file: Path, *, sync: bool) -> None:
+        def remove(self, file: Path) -> None:
             pass
 
     def use(disk: JournalDisk | FeedDisk) -> list[str]:

@@ -53,6 +53,7 @@ def test_a_swarm_tells_all_of_itself_within_a_tenth_of_a_second() -> None:
         assert heard >= {"HealthReport", "RobotProfiles", "Leases", "ChargingStatus", "Summary", "KnownRobots"}, before
         assert view.complete()
         assert view.counted()
+        assert {"core", "centralised"} <= {node.node for node in view.snapshot().nodes}
         seen = view.snapshot()
         assert [row.robot for row in seen.robots if row.profile is not None] == ["r1", "r2", "r3"]
         assert [dock.dock for dock in seen.docks] == ["d1"]

@@ -280,7 +280,7 @@ class LatchFolder:
         """Take the file away."""
         self._engaged.discard(robot)
         try:
-            self._disk.remove(self._file(robot), sync=True)
+            self._disk.remove(self._file(robot))
         except OSError as error:
             log.error("a restart of this agent would engage the e-stop again", robot=robot, error=str(error))
 

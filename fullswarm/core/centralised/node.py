@@ -10,6 +10,7 @@ import numpy as np
 import structlog
 
 from fullswarm.bus import Bus
+from fullswarm.bus.report_query import ReportsOnQuery
 from fullswarm.config import SwarmConfig
 from fullswarm.config.parameter import FILTER
 from fullswarm.core.centralised.joint_filter import Arena, JointFilter, to_twists
@@ -101,6 +102,7 @@ class CentralisedNode:
             bus.subscribe(self._keys.state(), RobotStates, self._update_states, latest=True),
             bus.subscribe(self._keys.profile(), RobotProfiles, self._describe),
         ]
+        self._queries = ReportsOnQuery(bus, self._keys, scheduler, self._beat)
         self._timers = [
             scheduler.every(1.0 / RATE_HZ, self._tick),
             scheduler.every(1.0 / HEARTBEAT_HZ, self._beat, first_s=0.0),
@@ -110,6 +112,7 @@ class CentralisedNode:
         """Stop computing; the robots stop when their last command expires."""
         for subscription in self._subscriptions:
             subscription.close()
+        self._queries.close()
         for timer in self._timers:
             timer.cancel()
         self._jobs.clear()
