@@ -121,13 +121,12 @@ def test_a_failure_is_reported_with_its_text_while_others_go_on(swarm: Swarm) ->
 
 
 def test_robots_of_one_request_may_end_at_different_times(swarm: Swarm) -> None:
-    swarm.operator.request("move_to_goal", ("r3",), {"goal": [0.2, 6.0]})
-    swarm.lockstep.run(4.0)
-    status = swarm.ask((2.0, 0.0), (), 4.2)
+    swarm.ask((4.0, 0.0), ("r1", "r2"), 9.0)
+    status = swarm.ask((5.0, 0.0), (), 8.0)  # r1 and r2 need 2.5 s, r3 10 s; results are repeated at 1 Hz
     assert status.phase == "running"
     assert {each.robot for each in status.results} == {"r1", "r2"}
     assert status.running == ("r3",)
-    swarm.lockstep.run(4.0)
+    swarm.lockstep.run(8.0)
     assert all_arrived(swarm.statuses[-1])
 
 
