@@ -179,9 +179,55 @@ def test_a_request_that_a_stop_ended_stays_ended_after_a_restart_of_the_agent(tm
     again.enable("move_to_goal", FAR, request_id="old")
     again.run(0.5)
     assert not again.acks[-1].accepted
-    assert "stopped" in again.acks[-1].reason
+    assert "ended before" in again.acks[-1].reason
     assert not again.commanded.any()
     driving(again)
+
+
+@pytest.mark.parametrize("by", ["stick", "request"])
+@pytest.mark.parametrize("how", ["at once", "after disabling"])
+@pytest.mark.parametrize("restarted", [False, True])
+def test_a_request_that_another_one_replaced_starts_no_more(tmp_path: Path, by: str, how: str, restarted: bool) -> None:
+    """The core lost power after the replacement, with the newest entries of its database, and sends the old one."""
+    folder = LatchFolder(tmp_path, "boot 1")
+    bench = Bench([(5.0, 5.0, 0.0)])
+    bench.agent.inbox.remember_latches(folder)
+    bench.enable("move_to_goal", FAR, request_id="old")
+    bench.run(0.5)
+    if how == "after disabling":
+        bench.enable("move_to_goal", {}, request_id="new", enable=False)
+    if by == "stick":
+        bench.enable("move", STICK, request_id="new", expires_s=0.5)
+    else:
+        bench.enable("move_to_goal", {"goal": [5.0, 5.0]}, request_id="new")
+    bench.run(1.0)
+    assert bench.acks[-1].accepted
+    if restarted:
+        bench = Bench([(5.0, 5.0, 0.0)])
+        bench.agent.inbox.remember_latches(folder)
+    bench.enable("move_to_goal", FAR, request_id="old", core="later")
+    bench.run(1.0)
+    assert not bench.acks[-1].accepted
+    assert ("ended before" if restarted else "superseded by new") in bench.acks[-1].reason
+    assert not bench.acks[-1].enabled
+    if by == "stick" or restarted:
+        assert not bench.commanded.any()
+    driving(bench)
+
+
+def test_a_request_that_has_arrived_starts_no_more_after_a_restart_of_the_agent(tmp_path: Path) -> None:
+    folder = LatchFolder(tmp_path, "boot 1")
+    bench = Bench([(5.0, 5.0, 0.0)])
+    bench.agent.inbox.remember_latches(folder)
+    bench.enable("move_to_goal", {"goal": [5.5, 5.0]}, request_id="old")
+    bench.agent.inbox.end(0, "arrived", "")
+    bench.run(1.0)
+    again = Bench([(5.0, 5.0, 0.0)])
+    again.agent.inbox.remember_latches(folder)
+    again.enable("move_to_goal", FAR, request_id="old", core="later")
+    again.run(0.5)
+    assert not again.acks[-1].accepted
+    assert not again.commanded.any()
 
 
 def test_a_stop_kept_by_an_older_version_is_read(tmp_path: Path) -> None:

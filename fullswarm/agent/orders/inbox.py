@@ -43,7 +43,7 @@ REMEMBERED_STOPS = 256
 REPORT_S = 1.0
 """Between two log lines about releases that do not count."""
 KEEP_S = 0.2
-"""Between two writes of stops."""
+"""Between two writes of stops and of the requests that have ended."""
 SIMULATED = "sim"
 """Make of a robot whose driver is that of the simulated world; one that is emulated has the driver of its make."""
 
@@ -91,7 +91,7 @@ class Inbox:
         self._stops: Recent[str, None] = Recent(REMEMBERED_STOPS)
         self._folder: LatchFolder | None = None
         self._reported_s = -math.inf
-        self._unkept, self._kept_s = set[int](), -math.inf  # robots whose newest stop is not on disk
+        self._unkept, self._kept_s = set[int](), -math.inf  # robots whose newest stop or ended request is not on disk
         self.charging = Charging(
             bus, keys, scheduler, fleet, state, tasks,
             replaced=lambda row, core: self._epochs[row].replaced(core, scheduler.now_s()), halts=self.halts,
@@ -172,6 +172,7 @@ class Inbox:
         """Do what is asked; return why not, false if it is done."""
         epoch = self._epochs[row]
         if not request.enable:
+            self._supersede(row, request, self._tasks.asked(row))
             self._drop(row)
             return NONE
         epoch.see(request)
@@ -197,18 +198,30 @@ class Inbox:
             new_law = before is None or before.law != task.law
             if new_law and self._fleet.descriptions[row].make != SIMULATED and simulated_only(task.law):
                 return reason(Code.SIMULATED_ONLY, law=task.law)
+            replaced = self._tasks.asked(row)
             if not self.charging.take(row, task):
                 self._tasks.enable(row, task)
         except FullswarmError as error:
             return given(str(error))
-        if self.halts[row] is not None and self._folder is not None:
-            self._folder.keep_halt(self._fleet.ids[row], None, epoch.lasting_voided())
-        self.halts[row] = None
+        self._supersede(row, request, replaced)
+        if self.halts[row] is not None:
+            self.halts[row] = None
+            self._unkept.add(row)
         self._controller.law_failed[row] = False
         self.ended[row], self.results[row] = NONE, None
         if request.centralised:
             self._controller.forget(row)
         return NONE
+
+    def _supersede(self, row: int, request: ControlRequest, replaced: Task | None) -> None:
+        """Have the request that another one replaces start here no more: a core that lost its newest entries sends it.
+
+        Intents end by themselves.
+        """
+        if replaced is None or replaced.expires_at_s < math.inf or replaced.request.request_id == request.request_id:
+            return
+        self._epochs[row].void(replaced.request, reason(Code.SUPERSEDED, by=request.request_id))
+        self._unkept.add(row)
 
     def _sent_s(self, row: int, request: ControlRequest) -> float:
         """Return when an intent was sent, as far as can be known: it lives from then on, not from its arrival."""
@@ -225,6 +238,8 @@ class Inbox:
                 self._drop(row)
             return
         self._epochs[row].void(task.request, why)
+        if task.expires_at_s == math.inf:
+            self._unkept.add(row)
         self.ended[row] = why
         self._drop(row)
 
@@ -280,7 +295,8 @@ class Inbox:
             self._halt(row, reason(Code.STOPPED, by=stop.source or "an operator"))
             self._note_halt(row, stop, estop=False)
         self._wake()
-        self._keep_halts(rows)
+        self._unkept.update(rows)
+        self._keep()
 
     def _on_estop(self, order: EStop) -> None:
         addressed = self._addressed(order.robots)
@@ -299,7 +315,8 @@ class Inbox:
                 self._note_halt(row, order, estop=True)
         self.estops.carry_out(order, rows, self._scheduler.now_s())
         if order.engaged:
-            self._keep_halts(rows)
+            self._unkept.update(rows)
+            self._keep()
 
     def remember_latches(self, folder: LatchFolder) -> None:
         """Keep latches and stops in `folder`, latch the robots that it names, and take up the stops it has kept."""
@@ -308,7 +325,7 @@ class Inbox:
         for row, robot in enumerate(self._fleet.ids):
             kept = folder.halt_of(robot, self._scheduler.now_s())
             self.halts[row] = halt = kept.halt
-            self._epochs[row].recall(kept.voided, reason(Code.STOPPED, by="an operator"))
+            self._epochs[row].recall(kept.voided, given("it ended before the robot's agent was restarted"))
             if self._state.estop[row] and (halt is None or not halt.estop):
                 self._note_halt(row, None, estop=True)
 
@@ -330,24 +347,19 @@ class Inbox:
             )  # fmt: skip
         self.halts[row] = halt
 
-    def _keep_halts(self, rows: Iterable[int]) -> None:
-        """Keep the stops of these robots on disk; the wheels come first. A flood is written now and then."""
+    def _keep(self) -> None:
+        """Keep what robots must know after a restart; the wheels come first. A flood is written now and then."""
         folder, now_s = self._folder, self._scheduler.now_s()
-        if folder is None:
-            return
-        self._unkept.update(rows)
-        if now_s - self._kept_s < KEEP_S:
+        if folder is None or now_s - self._kept_s < KEEP_S:
             return
         rows, self._unkept, self._kept_s = self._unkept, set(), now_s
         for row in rows:
-            halt = self.halts[row]
-            if halt is not None:
-                folder.keep_halt(self._fleet.ids[row], halt, self._epochs[row].lasting_voided())
+            folder.keep_halt(self._fleet.ids[row], self.halts[row], self._epochs[row].lasting_voided())
 
     def watch_estops(self, now_s: float) -> None:
-        """Confirm the e-stops of robots that have come to a standstill, and keep stops that have not been kept yet."""
+        """Confirm the e-stops of robots that have come to a standstill, and keep what has not been kept yet."""
         if self._unkept:
-            self._keep_halts(())
+            self._keep()
         self.estops.watch(now_s)
 
     def _report_old_release(self, order: EStop) -> None:
