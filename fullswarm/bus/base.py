@@ -40,7 +40,7 @@ class Tap(Protocol):
 
     Attributes
     ----------
-    dropped : messages that were too long, or found no room because `take` was not called
+    dropped : messages that were too long, or found no room because `take` was not called; at least
     """
 
     dropped: int

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import functools
 import json
 import math
+import os
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
@@ -530,44 +530,74 @@ class Inbox:
             untyped(declared.undeclare)
 
 
+ONE_THREAD = "(acc: (handover: app), net: (handover: app), rx: (handover: app), tx: (handover: app))"
+
+
+def use_one_thread() -> None:
+    """Have zenoh do all its work in this process on one thread; to be called before the first session.
+
+    For a process that only collects messages (:meth:`ZenohBus.tap`): each wakes one thread instead of two. Where
+    messages are handled on the receiving thread, they would hold up what is sent.
+    """
+    os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)
+
+
+TAP_ROOM = 5000
+"""Messages of one expression that wait to be taken."""
+CLOCK_DRIFT = 1e-3
+"""The clocks of hub and receiver may differ in their rates by this; set anew, they jump."""
+
+
 class ZenohTap:
     """Collects all that other processes send on some keys: see :class:`fullswarm.bus.base.Tap`.
 
-    Nothing is woken by a message: who collects calls `take` a few times a second.
+    Nothing is woken by a message, and no Python runs for it: zenoh keeps the newest `room` of each expression until
+    `take` is called, a few times a second. The times of arrival follow from the times at which the hub passed them on.
     """
 
     def __init__(self, expressions: Sequence[str], room: int, on_close: Callable[[ZenohTap], None]) -> None:
         self._expressions, self._room, self._on_close = tuple(expressions), room, on_close
-        self._clock, self._lock = MonotonicClock(), threading.Lock()
+        self._clock, self._arrivals = MonotonicClock(), Arrivals()
         self._waiting: list[Carried] = []
-        self._declared: list[zenoh.Subscriber[None]] = []
+        self._declared: list[tuple[int, zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]]] = []
+        self._lock = threading.Lock()
         self._active = True
         self.dropped = 0
 
     def declare(self, session: zenoh.Session) -> None:
         """Subscribe at the hub. The caller does this once."""
         for number, expression in enumerate(self._expressions):
-            callback = zenoh.handlers.Callback(functools.partial(self._receive, number), indirect=False)
-            self._declared.append(
-                session.declare_subscriber(wire_key(expression, ANY), callback, allowed_origin=zenoh.Locality.REMOTE)
+            kept = session.declare_subscriber(
+                wire_key(expression, ANY), zenoh.handlers.RingChannel(self._room), allowed_origin=zenoh.Locality.REMOTE
             )
-
-    def _receive(self, number: int, sample: zenoh.Sample) -> None:
-        swarm, _, rest = str(sample.key_expr).partition("/")
-        sender, _, rest = rest.partition("/")
-        sender = "" if sender == UNNAMED else sender
-        data = sample.payload.to_bytes() if len(sample.payload) <= LARGEST_BYTES else None
-        with self._lock:  # with the time of arrival, or the order would not be that of the times
-            if data is None or len(self._waiting) >= self._room:
-                self.dropped += 1
-            else:
-                self._waiting.append(Carried(number, self._clock.now_s(), f"{swarm}/{rest}", sender, data))
+            with self._lock:
+                self._declared.append((number, kept))
 
     def take(self) -> list[Carried]:
         """Return what has come since the last call, in the order of arrival."""
         with self._lock:
+            self._collect()
             found, self._waiting = self._waiting, []
         return found
+
+    def _collect(self) -> None:
+        """Move what zenoh has kept to what is waiting."""
+        samples: list[tuple[int, zenoh.Sample]] = []
+        for number, kept in self._declared:
+            before = len(samples)
+            while len(samples) - before < self._room and (sample := kept.try_recv()) is not None:
+                samples.append((number, sample))
+            if len(samples) - before == self._room:
+                self.dropped += 1  # at least: how many came without room is not known
+        times_s = self._arrivals.at([_stamp_s(sample) for _, sample in samples], self._clock.now_s())
+        for at_s, (number, sample) in sorted(zip(times_s, samples, strict=True), key=lambda each: each[0]):
+            if len(sample.payload) > LARGEST_BYTES:
+                self.dropped += 1
+                continue
+            swarm, _, rest = str(sample.key_expr).partition("/")
+            sender, _, rest = rest.partition("/")
+            sender = "" if sender == UNNAMED else sender
+            self._waiting.append(Carried(number, at_s, f"{swarm}/{rest}", sender, sample.payload.to_bytes()))
 
     def close(self) -> None:
         """Receive no more; closing twice is fine."""
@@ -576,10 +606,47 @@ class ZenohTap:
             self._on_close(self)
 
     def undeclare(self) -> None:
-        """Withdraw the declarations at the hub."""
-        declared, self._declared = self._declared, []
-        for each in declared:
+        """Withdraw the declarations at the hub; what has come can still be taken."""
+        with self._lock:
+            self._collect()
+            declared, self._declared = self._declared, []
+        for _, each in declared:
             untyped(each.undeclare)
+
+
+def _stamp_s(sample: zenoh.Sample) -> float:
+    """Return when the hub passed a message on, on its clock; NaN: it has not said so."""
+    stamp = sample.timestamp
+    return math.nan if stamp is None else stamp.get_time().timestamp()
+
+
+class Arrivals:
+    """Computes on this process's clock when messages arrived that are looked at later, from the stamps of their sender.
+
+    The sender's clock may differ by any amount. The smallest age of a message when it is looked at is that difference,
+    but for the way of a message that arrives just then.
+    """
+
+    def __init__(self) -> None:
+        self._behind_s, self._looked_s = math.inf, -math.inf
+
+    def at(self, stamps_s: Sequence[float], now_s: float) -> list[float]:
+        """Return when messages arrived that have come since the last call, not before that and not after `now_s`.
+
+        Parameters
+        ----------
+        stamps_s : when each was sent, on another clock; NaN: not known, it counts as `now_s`
+        """
+        newest_s = max((stamp_s for stamp_s in stamps_s if not math.isnan(stamp_s)), default=math.nan)
+        if not math.isnan(newest_s):
+            drifted_s = self._behind_s + CLOCK_DRIFT * (now_s - self._looked_s)
+            self._behind_s = min(now_s - newest_s, drifted_s)
+            if newest_s + self._behind_s < self._looked_s:  # the other clock was set back
+                self._behind_s = now_s - newest_s
+        since_s, self._looked_s = self._looked_s, now_s
+        return [
+            now_s if math.isnan(stamp_s) else min(max(stamp_s + self._behind_s, since_s), now_s) for stamp_s in stamps_s
+        ]
 
 
 def is_urgent(key: str) -> bool:
@@ -709,8 +776,8 @@ class ZenohBus:
                     inbox.declare(self._session)
         return inbox
 
-    def tap(self, expressions: Sequence[str], room: int = 20_000) -> ZenohTap:
-        """Collect all that other processes send on matching keys, unread; at most `room` messages wait."""
+    def tap(self, expressions: Sequence[str], room: int = TAP_ROOM) -> ZenohTap:
+        """Collect all that other processes send on matching keys, unread; the newest `room` of each wait."""
         tap = ZenohTap(expressions, room, self._forget)
         with self._lock:
             if not self._closed:

@@ -163,6 +163,8 @@ class Recorder:
         try:
             for carried in self._tap.take():
                 self._take(carried)
+            for drawn in self._scene.frames():
+                self._draw(drawn, now_ns)
             for process, line in self._logs.read():
                 self._draw(log_line(process, line, now_ns), now_ns)
             if blocks := list(self._journals()):

@@ -46,6 +46,8 @@ LASTS_S = 3
 """A body is drawn so long after the last scene that has it."""
 SILENT_S = 10.0
 """A robot that has sent no state for so long is drawn no more."""
+FRAMES_S = 0.05
+"""Frames of so much time are one message: each robot sends its state on its own, up to 20 times a second."""
 OLDEST_SCAN_S = 1.0
 """A scan is stamped no earlier than this before its arrival, whatever its robot states."""
 GREY = Color(r=0.5, g=0.5, b=0.55, a=0.9)
@@ -67,11 +69,15 @@ class Scene:
     def __init__(self) -> None:
         self._radius_m: Recent[str, tuple[float, float]] = Recent(MOST_BODIES)  # by robot: radius, when it came
         self._obstacles: Recent[str, SeenObstacles] = Recent(MOST_HOSTS)
+        self._frames: list[FrameTransform] = []  # not drawn yet
+        self._frames_since_s = 0.0
 
     def take(self, message: Message, now_s: float, time_ns: int) -> Iterator[Drawn]:
-        """Take in a message; yield what is drawn of it at once."""
+        """Take in a message; yield what is to be drawn now."""
         if isinstance(message, RobotStates):
-            yield self._frames(message, now_s, time_ns)
+            if now_s - self._frames_since_s >= FRAMES_S:
+                yield from self.frames()
+            self._add_frames(message, now_s, time_ns)
         elif isinstance(message, SeenObstacles):
             self._obstacles[message.host] = message
         elif isinstance(message, CameraPicture):
@@ -93,18 +99,25 @@ class Scene:
         entities.append(_entity("obstacles", WORLD, when, cubes=[_cube(row) for row in sorted(boxes)]))
         return _drawn(SCENE, SceneUpdate(entities=entities))
 
-    def _frames(self, states: RobotStates, now_s: float, time_ns: int) -> Drawn:
-        when, frames = _time(time_ns), []
+    def frames(self) -> Iterator[Drawn]:
+        """Yield the frames that have not been drawn yet, if any."""
+        frames, self._frames = self._frames, []
+        if frames:
+            yield _drawn(TF, FrameTransforms(transforms=frames))
+
+    def _add_frames(self, states: RobotStates, now_s: float, time_ns: int) -> None:
+        if not self._frames:
+            self._frames_since_s = now_s
+        when = _time(time_ns)
         for row, robot in enumerate(states.robots):
             self._radius_m[robot] = states.radius_m[row], now_s
             place = Vector3(x=states.x_m[row], y=states.y_m[row], z=0.0)
-            frames.append(
+            self._frames.append(
                 FrameTransform(
                     timestamp=when, parent_frame_id=WORLD, child_frame_id=robot, translation=place,
                     rotation=_turned(states.heading_rad[row]),
                 )
             )  # fmt: skip
-        return _drawn(TF, FrameTransforms(transforms=frames))
 
 
 def log_line(process: str, line: str, time_ns: int) -> Drawn:

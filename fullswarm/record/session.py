@@ -19,7 +19,7 @@ import structlog
 
 from fullswarm.bus.endpoint import DEFAULT_HUB, credentials_at
 from fullswarm.bus.renewal import renew_later
-from fullswarm.bus.zenoh_bus import ZenohBus
+from fullswarm.bus.zenoh_bus import ZenohBus, use_one_thread
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
@@ -87,6 +87,7 @@ def start(
             "a recorder is an observer, which can ask robots for nothing at a secured hub", where="--ranges",
             hint="leave it out and select the robots on the console: the scans that it asks for are recorded",
         )  # fmt: skip
+    use_one_thread()
     bus = ZenohBus(runtime.mailbox, hub=hub, credentials=credentials)
     try:
         bus.wait_connected(HUB_UP_S if with_parent else CONNECT_S)

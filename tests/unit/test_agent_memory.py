@@ -129,7 +129,7 @@ def test_memory_lasts_as_long_as_the_request(monkeypatch: pytest.MonkeyPatch) ->
     bench.enable("stop", robot="r1", request_id="q3")
     bench.run(TICK_S)
     assert kept(bench) == {}
-    bench.enable("counting", {"gain": 2.0}, robot="r1", request_id="q1")
+    bench.enable("counting", {"gain": 2.0}, robot="r1", request_id="q4")
     bench.run(2 * TICK_S)
     assert [kept(bench, row)["calls"] for row in range(3)] == [about(2), about(8), about(28)]
     bench.stop("s1")

@@ -11,17 +11,28 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fullswarm import config
 from fullswarm.bus import LocalBus
-from fullswarm.bus.base import NamedBus, SenderBus
+from fullswarm.bus.base import Carried, NamedBus, SenderBus
 from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
-from fullswarm.bus.zenoh_bus import CACHED_KEYS, FETCHED_AT_ONCE, ZenohBus, client_config, is_urgent, untyped
-from fullswarm.clock import SimClock
+from fullswarm.bus.zenoh_bus import (
+    CACHED_KEYS,
+    FETCHED_AT_ONCE,
+    Arrivals,
+    ZenohBus,
+    client_config,
+    is_urgent,
+    untyped,
+)
+from fullswarm.clock import MonotonicClock, SimClock
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
 from fullswarm.messages import Command, Heartbeat, Reception, SeenObstacles, StopRequest
@@ -132,26 +143,96 @@ def test_the_sender_arrives_beside_the_message(pair: Pair, latest: bool) -> None
 
 def test_all_that_is_on_the_wire_can_be_had_unread(remote: tuple[ZenohBus, ZenohBus, Pair]) -> None:
     publisher, subscriber, pair = remote
-    tap = subscriber.tap(["test/heartbeat/*", "test/stop"], room=3)
+    tap = subscriber.tap(["test/heartbeat/*", "test/stop"])
     pair.settle()
+    tap.take()
+    clock = MonotonicClock()
+    began_s = clock.now_s()
     publisher.publish(KEYS.heartbeat("n1"), beat(1), sender="r1")
     publisher.publish(KEYS.leases, beat(0))
     publisher.publish(KEYS.stop, StopRequest(id="s", source="me"))
     publisher.publish(KEYS.heartbeat("n2"), beat(2))
-    publisher.publish(KEYS.heartbeat("n3"), beat(3))
-    pair.until(lambda: tap.dropped == 1)
-    seen = tap.take()
+    seen: list[Carried] = []
+
+    def taken() -> bool:
+        seen.extend(tap.take())
+        return len(seen) == 3
+
+    pair.until(taken)
     assert [(each.number, each.key, each.sender, each.data) for each in seen] == [
         (0, "test/heartbeat/n1", "r1", encode(beat(1))),
         (1, "test/stop", "", encode(StopRequest(id="s", source="me"))),
         (0, "test/heartbeat/n2", "", encode(beat(2))),
     ]
-    assert [each.arrival_s for each in seen] == sorted(each.arrival_s for each in seen)
-    tap.close()
-    publisher.publish(KEYS.heartbeat("n1"), beat(3))
+    arrivals_s = [each.arrival_s for each in seen]
+    assert arrivals_s == sorted(arrivals_s)
+    assert began_s <= arrivals_s[0] <= arrivals_s[-1] <= clock.now_s()
+    assert tap.dropped == 0
+    arrived: list[Heartbeat] = []
+    subscriber.subscribe(KEYS.heartbeat("n1"), Heartbeat, arrived.append)
     pair.settle()
+    tap.take()
+    publisher.publish(KEYS.heartbeat("n1"), beat(3))
+    pair.until(lambda: len(arrived) == 1)
+    tap.close()
+    publisher.publish(KEYS.heartbeat("n1"), beat(4))
+    pair.until(lambda: len(arrived) == 2)
+    assert [each.data for each in tap.take()] == [encode(beat(3))]  # what came before its end is not lost
     assert tap.take() == []
     tap.close()
+
+
+def test_of_what_nobody_takes_the_newest_is_kept(remote: tuple[ZenohBus, ZenohBus, Pair]) -> None:
+    publisher, subscriber, pair = remote
+    tap = subscriber.tap(["test/heartbeat/*"], room=3)
+    arrived: list[Heartbeat] = []
+    subscriber.subscribe(KEYS.heartbeat("n1"), Heartbeat, arrived.append)
+    pair.settle()
+    tap.take()
+    for number in range(5):
+        publisher.publish(KEYS.heartbeat("n1"), beat(number))
+    pair.until(lambda: len(arrived) == 5)
+    assert [each.data for each in tap.take()] == [encode(beat(number)) for number in (2, 3, 4)]
+    assert tap.dropped == 1  # at least
+
+
+@given(
+    ahead_s=st.floats(-1e9, 1e9), ways_s=st.lists(st.floats(0.0, 0.02), min_size=2, max_size=60),
+    every_s=st.floats(0.001, 0.05), look_s=st.floats(0.05, 0.5),
+)  # fmt: skip
+def test_when_messages_arrived_follows_from_the_stamps_of_another_clock(
+    ahead_s: float, ways_s: list[float], every_s: float, look_s: float
+) -> None:
+    """Each within the time since the last look, in order, and once one came just before a look, to its way's spread."""
+    arrivals, sent_s = Arrivals(), [number * every_s for number in range(len(ways_s))]
+    came_s = list(np.maximum.accumulate([at_s + way_s for at_s, way_s in zip(sent_s, ways_s, strict=True)]))
+    looks_s, taken = [look_s * number for number in range(1, 2 + int(came_s[-1] / look_s) + 1)], 0
+    late_s = math.inf
+    for before_s, now_s in zip([-math.inf, *looks_s], looks_s, strict=False):
+        rows = [row for row, at_s in enumerate(came_s) if before_s < at_s <= now_s]
+        found_s = arrivals.at([sent_s[row] + ahead_s for row in rows], now_s)
+        late_s = min(late_s, now_s - sent_s[rows[-1]]) if rows else late_s
+        assert all(before_s <= at_s <= now_s for at_s in found_s)
+        assert found_s == sorted(found_s)
+        for row, at_s in zip(rows, found_s, strict=True):
+            assert abs(at_s - came_s[row]) <= max(late_s, 0.02) + 1e-3 * now_s + 1e-6
+        taken += len(rows)
+    assert taken == len(ways_s)
+
+
+def test_a_clock_that_is_set_anew_costs_one_look() -> None:
+    arrivals = Arrivals()
+    for step_s in (0.0, -3600.0, 86_400.0):
+        began_s = arrivals._looked_s if step_s else 0.0
+        for number in range(1, 9):
+            now_s = began_s + 0.25 * number
+            stamps_s = [now_s + step_s - each_s for each_s in (0.2, 0.1, 0.005)]
+            assert arrivals.at(stamps_s, now_s) == pytest.approx([now_s - 0.195, now_s - 0.095, now_s], abs=2e-3)
+
+
+def test_a_message_without_a_stamp_counts_as_of_now() -> None:
+    assert Arrivals().at([math.nan, 5.0, math.nan], 7.0) == [7.0, 7.0, 7.0]
+    assert Arrivals().at([], 7.0) == []
 
 
 def test_the_sender_is_the_chunk_of_the_key_after_the_swarms(remote: tuple[ZenohBus, ZenohBus, Pair], hub: str) -> None:

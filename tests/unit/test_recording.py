@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -31,6 +32,7 @@ from fullswarm.messages import CameraPicture, Message, RangeReport, RobotStates,
 from fullswarm.record.reading import contents, repair
 from fullswarm.record.recorder import FLUSH_S, LOG_BYTES, LogTail, Recorder, _schema
 from fullswarm.record.recording import MOST_CHANNELS, Attachment, Recording, Schema
+from fullswarm.record.scene import FRAMES_S
 from fullswarm.runtime import Runtime
 from tests.unit.wild import KINDS, Wild
 
@@ -241,6 +243,30 @@ def test_a_recorder_writes_messages_and_what_viewers_draw_of_them(tmp_path: Path
     assert rig.recorder.strange == 1
     assert contents(rig.path).about["fullswarm.end"] == {"dropped": "7", "strange": "1", "refused": "0"}
     assert not rig.failures
+
+
+def test_frames_of_robots_that_send_at_about_the_same_time_are_one_message(tmp_path: Path) -> None:
+    rig, names = Rig(tmp_path), [f"r{number}" for number in range(1, 9)]
+    for step in range(20):
+        for name in names:
+            state = msgspec.structs.replace(states(1.0 + step), robots=(name,), host=name)
+            rig.air.say(f"s/state/all/{name}", state)
+            rig.runtime.run(0.05 / len(names))
+    rig.runtime.run(1.0)
+    found = rig.read()
+    assert [len(found[f"/state/all/{name}"]) for name in names] == [20] * 8
+    drawn = [each for _, message in found["/tf"] for each in message.transforms]
+    assert sorted((each.child_frame_id, each.translation.x) for each in drawn) == sorted(
+        (name, 1.0 + step) for step in range(20) for name in names
+    )
+    assert len(found["/tf"]) <= 25
+    lags_s = [
+        1e-9 * (at - each.timestamp.seconds * 10**9 - each.timestamp.nanos)
+        for at, message in found["/tf"]
+        for each in message.transforms
+    ]
+    assert min(lags_s) >= 0.0
+    assert max(lags_s) <= FRAMES_S + 0.05
 
 
 def test_a_scan_is_recorded_once_as_viewers_show_it(tmp_path: Path) -> None:
