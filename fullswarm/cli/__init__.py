@@ -18,7 +18,7 @@ file               commands
 ``mcp.py``         `mcp`
 ``guide.py``       `guide`
 ``schema.py``      `schema`
-``viewer.py``      `viewer foxglove|layout`
+``viewer.py``      `viewer foxglove|layout|rerun`
 ``metrics.py``     `metrics`
 ``ros.py``         `ros bridge`
 ``console.py``     `console`, `console tokens add|list|revoke`

@@ -1,4 +1,4 @@
-"""`fullswarm viewer`: shows a live swarm in Foxglove or Lichtblick, and makes a layout for it."""
+"""`fullswarm viewer`: shows a live swarm in Foxglove, Lichtblick or Rerun, and makes a layout for it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fullswarm.cli.options import Target
 
 viewer_app = typer.Typer(
-    help="Show live swarms in Foxglove and Lichtblick; they can send nothing.", no_args_is_help=True
+    help="Show live swarms in Foxglove, Lichtblick and Rerun; they can send nothing.", no_args_is_help=True
 )
 
 
@@ -66,3 +66,29 @@ def layout(
 
     output.data_json(layouts.layout(layouts.of_swarm(target) if fleet is None else layouts.of_fleet(fleet)))
     return 0
+
+
+@viewer_app.command()
+@shell_command(logs=True)
+def rerun(
+    target: Target,
+    recording: Annotated[
+        Path | None, typer.Argument(metavar="[RUN.mcap]", help="A recording (default: the live swarm, until Ctrl-C).")
+    ] = None,
+    connect: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="A viewer that runs, or its URL, as it prints it."),
+    ] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="A new file, in place of a viewer.")] = None,
+) -> int:
+    """Show a live swarm or a recording in Rerun: the arena from above, charts, cameras, log."""
+    from fullswarm.errors import ConfigError
+    from fullswarm.launch.observer import need
+
+    if connect is not None and save is not None:
+        raise ConfigError("either a viewer or a file", where="--connect, --save", hint="leave one out")
+    need(("foxglove", "mcap"), "Rerun", "record,console")
+    need(("rerun",), "this view", "rerun")
+    from fullswarm.record.rerun_view import draw_recording, show
+
+    return show(target, connect, save) if recording is None else draw_recording(recording, connect, save)

@@ -37,7 +37,7 @@ def show(target: Target, listen: str, origins: frozenset[str], as_json: bool) ->
     """
 
     def build(to: Connection) -> tuple[Starlette, list[Node]]:
-        logs, now_s = _logs(target), to.runtime.now_s
+        logs, now_s = logs_of(target), to.runtime.now_s
         began_ns = round(1e9 * wall_time_s())  # last: times of messages count from here
         channels = Channels(f"fullswarm: {target.swarm}", str(began_ns), now_s)
         node = Recorder(to.bus, to.keys, to.runtime, channels, began_ns, logs, flush_s=FLUSH_S)
@@ -60,7 +60,7 @@ def show(target: Target, listen: str, origins: frozenset[str], as_json: bool) ->
     return serve(target, NAME, listen, build, on_start, wait=True)
 
 
-def _logs(target: Target) -> Path | None:
+def logs_of(target: Target) -> Path | None:
     """Return the folder with the logs of the swarm's processes; None: `up` runs on another computer, or as another."""
     hub = target.hub or DEFAULT_HUB
     for folder in run_folder.running():

@@ -159,6 +159,14 @@ class RecordedSwarm:
                     return
 
 
+def feed(found: Recorded, first_ns: int, runtime: Runtime, bus: LocalBus, keys: Keys) -> None:
+    """Publish a recorded message at its time, after what is due before; its clock began at `first_ns`."""
+    wait_s = 1e-9 * (found.time_ns - first_ns) - runtime.now_s()
+    if wait_s > 0.0:
+        runtime.run(wait_s)
+    bus.publish(f"{keys.swarm}/{found.topic}", found.message)
+
+
 @dataclass(slots=True)
 class PlaybackSession:
     """One page that looks at a recording."""
@@ -316,10 +324,7 @@ class Playback:
             self._runtime.run(0.5)  # what the last messages changed
             self.timeline.history.close()
             return
-        wait_s = 1e-9 * (found.time_ns - self.recorded.first_ns) - self._runtime.now_s()
-        if wait_s > 0.0:
-            self._runtime.run(wait_s)
-        self._bus.publish(f"{self._keys.swarm}/{found.topic}", found.message)
+        feed(found, self.recorded.first_ns, self._runtime, self._bus, self._keys)
 
     @property
     def read(self) -> bool:

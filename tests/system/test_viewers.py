@@ -13,10 +13,12 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
+from rerun.chunk import RrdReader
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
@@ -148,3 +150,24 @@ def test_an_exporter_waits_for_a_hub_and_a_viewer_says_that_there_is_none() -> N
         for each in (exporter, viewer):
             each.kill()
             each.communicate()
+
+
+def test_a_live_swarm_is_drawn_for_rerun_until_ctrl_c(swarm: LiveSwarm, tmp_path: Path) -> None:
+    out = tmp_path / "live.rrd"
+    process = swarm.spawn("viewer", "rerun", "--save", str(out))
+    try:
+        until(lambda: out.exists() and out.stat().st_size > 20_000, PATIENCE_S, "nothing is drawn")
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=30)[1]
+    finally:
+        process.kill()
+        process.communicate()
+    assert (process.returncode, "Traceback" in said) == (130, False)
+    assert f"goes to {out}" in said
+    names = [
+        row["Cylinders3D:labels"]
+        for chunk in RrdReader(out).stream()
+        if chunk.entity_path == "/world/robots"
+        for row in chunk.to_record_batch().to_pylist()
+    ]
+    assert names[-1] == ["r1", "r2"]

@@ -39,6 +39,7 @@ DOERS = {
     *("record start", "record stop", "record repair"),
     "guide",  # a page
     "viewer layout",  # prints nothing but JSON
+    "viewer rerun",  # shows in another program, or writes a file
     *("signing root", "signing rotate", "signing revoke"),  # make and withdraw keys
     *(
         "experiment replay",

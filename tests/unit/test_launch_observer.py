@@ -98,10 +98,10 @@ def test_a_view_finds_the_logs_of_the_run_with_its_hub_and_swarm(temporary: Path
     broken, other, mine = RunFolder(), run("tcp/127.0.0.1:7000", "hall"), run("tcp/127.0.0.1:7001", "hall")
     (broken.path / FLEET).write_text("swarm = 5 =")
     assert set(running()) == {broken.path, other.path, mine.path}
-    assert live._logs(Target("tcp/127.0.0.1:7001", "hall")) == mine.path
-    assert live._logs(Target("tcp/127.0.0.1:7001", "yard")) is None
+    assert live.logs_of(Target("tcp/127.0.0.1:7001", "hall")) == mine.path
+    assert live.logs_of(Target("tcp/127.0.0.1:7001", "yard")) is None
     mine.close()
-    assert live._logs(Target("tcp/127.0.0.1:7001", "hall")) is None
+    assert live.logs_of(Target("tcp/127.0.0.1:7001", "hall")) is None
     assert set(running()) == {broken.path, other.path}
     other.close()
     broken.close()

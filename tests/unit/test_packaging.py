@@ -25,7 +25,7 @@ def test_the_page_names_each_extra_once() -> None:
 def test_all_is_what_the_page_says() -> None:
     (line,) = PROJECT["optional-dependencies"]["all"]
     inside = set(line.removeprefix("fullswarm[").removesuffix("]").split(","))
-    outside = {"all", "bench", "clients", "cluster", "dev", "docs", "mlflow"}
+    outside = {"all", "bench", "clients", "cluster", "dev", "docs", "mlflow", "rerun"}
     assert set(PROJECT["optional-dependencies"]) - inside == outside
 
 
