@@ -9,6 +9,7 @@
 ``viewer.py``      the same channels for viewers that connect: a Foxglove WebSocket
 ``live.py``        `viewer foxglove`: the process that serves it
 ``layout.py``      `viewer layout`: arena, charts, log and table for the robots of a fleet
+``rerun_view.py``  `viewer rerun`: draws a live swarm or a recording in Rerun
 ``session.py``     `record start` and `record stop`: a recorder's process, and how others find it
 ``decoding.py``    recorded messages as they were on the bus
 ``playback.py``    `console --recording`: a recording through the console's nodes, for pages that look at it
