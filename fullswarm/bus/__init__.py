@@ -7,6 +7,7 @@ ones from their modules: this package does not load zenoh.
 
 Files:
 
+``arrivals.py``        when messages arrived that are looked at later
 ``base.py``            the interface of a bus, wrappers that name the sender or count, matching of key expressions
 ``certificates.py``    renews certificates: processes ask, that of the authority answers
 ``codec.py``           messages as bytes: MessagePack, with errors that name what does not match

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import zenoh
 
+from fullswarm.bus.arrivals import Arrivals
 from fullswarm.bus.base import Carried, Delivery, Subscription, matches
 from fullswarm.bus.codec import LARGEST_BYTES, decode, encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, host_of, is_secured, no_hub
@@ -544,8 +545,6 @@ def use_one_thread() -> None:
 
 TAP_ROOM = 5000
 """Messages of one expression that wait to be taken."""
-CLOCK_DRIFT = 1e-3
-"""The clocks of hub and receiver may differ in their rates by this; set anew, they jump."""
 
 
 class ZenohTap:
@@ -618,35 +617,6 @@ def _stamp_s(sample: zenoh.Sample) -> float:
     """Return when the hub passed a message on, on its clock; NaN: it has not said so."""
     stamp = sample.timestamp
     return math.nan if stamp is None else stamp.get_time().timestamp()
-
-
-class Arrivals:
-    """Computes on this process's clock when messages arrived that are looked at later, from the stamps of their sender.
-
-    The sender's clock may differ by any amount. The smallest age of a message when it is looked at is that difference,
-    but for the way of a message that arrives just then.
-    """
-
-    def __init__(self) -> None:
-        self._behind_s, self._looked_s = math.inf, -math.inf
-
-    def at(self, stamps_s: Sequence[float], now_s: float) -> list[float]:
-        """Return when messages arrived that have come since the last call, not before that and not after `now_s`.
-
-        Parameters
-        ----------
-        stamps_s : when each was sent, on another clock; NaN: not known, it counts as `now_s`
-        """
-        newest_s = max((stamp_s for stamp_s in stamps_s if not math.isnan(stamp_s)), default=math.nan)
-        if not math.isnan(newest_s):
-            drifted_s = self._behind_s + CLOCK_DRIFT * (now_s - self._looked_s)
-            self._behind_s = min(now_s - newest_s, drifted_s)
-            if newest_s + self._behind_s < self._looked_s:  # the other clock was set back
-                self._behind_s = now_s - newest_s
-        since_s, self._looked_s = self._looked_s, now_s
-        return [
-            now_s if math.isnan(stamp_s) else min(max(stamp_s + self._behind_s, since_s), now_s) for stamp_s in stamps_s
-        ]
 
 
 def is_urgent(key: str) -> bool:

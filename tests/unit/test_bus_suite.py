@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from fullswarm import config
 from fullswarm.bus import LocalBus
+from fullswarm.bus.arrivals import Arrivals
 from fullswarm.bus.base import Carried, NamedBus, SenderBus
 from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
@@ -26,7 +27,6 @@ from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import (
     CACHED_KEYS,
     FETCHED_AT_ONCE,
-    Arrivals,
     ZenohBus,
     client_config,
     is_urgent,
