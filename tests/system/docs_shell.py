@@ -38,7 +38,7 @@ MARK = re.compile(r"<!-- (not run|before|file|last line of)(?: \[(.*?)\])?: (.*?
 ENDLESS = re.compile(
     r"fullswarm (up|console(?! tokens)|watch|demo(?!.*--(lockstep|seconds|headless))|viewer foxglove|metrics|joystick"
     r"|emulate|fixes( play|$)|record start|track(?! (init|sheets|calibrate)|.*--video)|mcp|ros bridge"
-    r"|drive(?!.*--seconds))\b|fullswarm .* -f\b"
+    r"|viewer rerun(?!.*--save)|drive(?!.*--seconds))\b|fullswarm .* -f\b"
 )
 SWARMS = re.compile(r"fullswarm (up|demo(?!.*--lockstep))\b")
 LIMIT_S = 300.0
