@@ -35,6 +35,7 @@ from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
+from fullswarm.agent.safety.stalls import Stalls
 from fullswarm.agent.safety.startup import check_stopping, vaguest_fix_m
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.actuated import ActuatorReporter
@@ -235,6 +236,7 @@ class AgentNode:
         self._doubt = _doubt(self.reflexes, self.pose_conflicts, self.ranges)
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
+        self._stalls = Stalls(1.0 / settings.control_rate_hz)
         self._cell_m, self._sequence, self._dirty = config.state_cell_m, 0, False
         self.failed_measurements = 0
         self._on_query = ReportsOnQuery(bus, keys, scheduler, self._report)
@@ -313,6 +315,7 @@ class AgentNode:
         elif reading.bodies is not None or self.objects.any:
             self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
+        self.filter.stall_s = self._stalls.note(now_s - self._last_tick_s)
         self.inbox.charging.update()
         if self.inbox.charging.changed:
             self.inbox.charging.changed, self._dirty = False, True

@@ -130,7 +130,7 @@ def test_the_gap_to_a_box_equals_shapelys(seed: int) -> None:
     assert math.hypot(nx, ny) == pytest.approx(1.0)
 
 
-def _guard(seed: int, run: Callable[..., int]) -> np.ndarray:
+def _guard(seed: int, run: Callable[..., int], stall_s: float = 0.0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     count = 6
     pose = np.concatenate([rng.uniform(0.5, 4.5, (count, 2)), rng.uniform(-3, 3, (count, 1))], axis=1)
@@ -151,7 +151,7 @@ def _guard(seed: int, run: Callable[..., int]) -> np.ndarray:
         moving,
         Filtered(twists, deviation, np.zeros(count, np.int64), np.zeros(count, bool)),
         barrier.HalfPlanes(*np.empty((5, barrier.MAX_ROWS))),
-        Measured(pose, np.zeros((count, 2)), zeros, np.zeros((count, 2))), 0.0, 0.02,
+        Measured(pose, np.zeros((count, 2)), zeros, np.zeros((count, 2))), 0.0, 0.02, stall_s,
     )  # fmt: skip
     return np.hstack([twists, deviation])
 
@@ -177,7 +177,8 @@ def test_compiled_and_plain_agree() -> None:
     kernels.compile_all()
     for kernel, call in ((guard, _guard),):
         for seed in range(5):
-            np.testing.assert_allclose(call(seed, kernel), call(seed, kernel.plain), atol=1e-12)
+            for stall_s in (0.0, 0.2):
+                np.testing.assert_allclose(call(seed, kernel, stall_s), call(seed, kernel.plain, stall_s), atol=1e-12)
     assert decide.run is not decide.plain
 
 

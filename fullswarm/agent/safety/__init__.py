@@ -7,5 +7,6 @@ Files:
 ``dead_time.py`` Commands that are given but have no effect yet, and what they will still do
 ``deadlock.py``  Robots that block each other: detected while they run, and guided around each other
 ``filter.py``    The filter of n robots from tick to tick: its output, the deviation, why it brakes
+``stalls.py``    How long the control loop may hang: the robot drives on meanwhile
 ``startup.py``   Whether robots sense each other early enough to stop, before a start
 """

@@ -191,7 +191,7 @@ def pass_through(
 def guard(
     tuning: Tuning, robots: RobotParams, underway: Underway, requested: Requested, near: Nearby, arena: Arena,
     objects: Objects,
-    out: Filtered, planes: HalfPlanes, measured: Measured, now_s: float, dt_s: float,
+    out: Filtered, planes: HalfPlanes, measured: Measured, now_s: float, dt_s: float, stall_s: float,
 ) -> int:  # fmt: skip
     """Map desired planar velocities to unicycle twists, behind the filter where `filtered` says so.
 
@@ -199,6 +199,7 @@ def guard(
     ----------
     planes : room for one robot's constraints
     dt_s : since the last call
+    stall_s : by how much the next one may come late; the robot drives on meanwhile
 
     Returns
     -------
@@ -256,8 +257,10 @@ def guard(
                     i, heading, speed_now, accel * (overrun + period_s), late_s, underway
                 )
             overrun_m = min(overrun * fastest, overrun_max_m[i]) if overrun > 0.0 else 0.0
+            if stall_s > 0.0:
+                overrun_m += stall_s * (fastest + accel * period_s)
             clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
-            stop_s = math.fabs(speed_now) / accel + 2.0 * period_s + age + late_s + overrun if moving else 0.0
+            stop_s = math.fabs(speed_now) / accel + 2.0 * period_s + age + late_s + overrun + stall_s if moving else 0.0
             count = half_planes(
                 i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], barrier_gain, accel, approach_s, top, way,
                 reach_m, near, arena, planes, objects, stop_s,
@@ -358,6 +361,7 @@ class SafetyFilter:
     given : the arrays of the last tick; None before the first one
     reach_m, bounds_m : how far obstacles are sensed; (4,) the arena
     commands : those that have no effect yet; to be updated in each tick if there are `any`
+    stall_s : by how much the next tick may come late, see :mod:`fullswarm.agent.safety.stalls`; the node's to set
     """
 
     def __init__(
@@ -368,7 +372,7 @@ class SafetyFilter:
         self._ids, self._tuning = ids, tuning
         self._objects = objects or no_objects()
         self.reach_m, self.bounds_m = tuning.reach_m, bounds_m
-        self._last_s = math.inf
+        self._last_s, self.stall_s = math.inf, 0.0
         self._logged_s: dict[int, float] = {}
         deviation = np.zeros((count, 4))
         self.deviation_m_s, self.deviation_m, self.change_m_s = deviation[:, 0], deviation[:, 1], deviation[:, 2:]
@@ -383,7 +387,7 @@ class SafetyFilter:
         self.given: Given | None = None
         self._measured: Measured | None = None
         self._measured_viewed: Measured
-        self._guard: Callable[[Measured, float, float], int]
+        self._guard: Callable[[Measured, float, float, float], int]
 
     def apply(
         self, now_s: float, requested: Requested, measured: Measured, near: Nearby, obstacles: Array, twist: Array
@@ -401,7 +405,7 @@ class SafetyFilter:
             if measured is not self._measured:
                 self._measured, self._measured_viewed = measured, views(measured)
             measured = self._measured_viewed
-        if self._guard(measured, now_s, dt_s):
+        if self._guard(measured, now_s, dt_s, self.stall_s):
             self._log_braking(now_s)
 
     def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> None:
