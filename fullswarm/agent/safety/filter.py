@@ -257,9 +257,8 @@ def guard(
                     i, heading, speed_now, accel * (overrun + period_s), late_s, underway
                 )
             overrun_m = min(overrun * fastest, overrun_max_m[i]) if overrun > 0.0 else 0.0
-            if stall_s > 0.0:
-                overrun_m += stall_s * (fastest + accel * period_s)
-            clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
+            hung_m = stall_s * (fastest + accel * period_s)
+            clearance_m = radius[i] + margin_m[i] + overrun_m + hung_m + confidence * sigma[i, 0]
             stop_s = math.fabs(speed_now) / accel + 2.0 * period_s + age + late_s + overrun + stall_s if moving else 0.0
             count = half_planes(
                 i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], barrier_gain, accel, approach_s, top, way,
