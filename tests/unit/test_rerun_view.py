@@ -36,8 +36,10 @@ class Stage:
         self.bus = LocalBus(self.runtime.mailbox)
         self.stream = rr.RecordingStream("test")
         self.stream.save(self.path)
-        wall_s = lambda: 1e-9 * START_NS + self.runtime.now_s()  # noqa: E731
-        self.view = RerunView(self.bus, KEYS, self.runtime, self.stream, wall_s, logs)
+        self.view = RerunView(self.bus, KEYS, self.runtime, self.stream, self.wall_s, logs)
+
+    def wall_s(self) -> float:
+        return 1e-9 * START_NS + self.runtime.now_s()
 
     def say(self, key: str, message: Message, run_s: float = 0.1) -> None:
         self.bus.publish(key, message)
