@@ -45,6 +45,8 @@ ROLLS = 0.01
 """m/s, above which a body moves."""
 EXCUSED_S = 1.5
 """A contact is no violation so long after the agent of one of the two was dead, frozen or deceived by its driver."""
+PUSHED_S = 0.25 + TICK_S
+"""Nor so long after such a robot has pushed one of the two, itself or through others that touch each other."""
 TOGETHER_S = 1.0
 """Two requests of different operators within this time may be carried out in either order."""
 CENTRALISED = ("voronoi_centralised_bc", "formation_assigned_bc")
@@ -97,6 +99,7 @@ class _Robot:
     commanded_s: float = -math.inf  # last set-point that moves it
     deceived_s: float = math.inf  # its driver has given no true reading since; inf: it does
     excused_s: float = -math.inf  # the last moment at which its agent was not itself
+    pushed_s: float = -math.inf  # and at which a robot with such an agent may have pushed it
     enabled: dict[str, set[tuple[str, int]]] = field(default_factory=lambda: defaultdict(set))
     newest: dict[str, int] = field(default_factory=dict)  # highest number that it has accepted from each core
     health: tuple[str, str, bool] = ("", "", False)  # behaviour, request, e-stop as last reported
@@ -370,14 +373,36 @@ class Judge:
             if abs(speed) > ROLLS and row not in pushed and now_s - robot.commanded_s > BOUNDS_S["standing"]:
                 text = f"it moves at {speed:.2f} m/s, {now_s - robot.commanded_s:.3f} s after its last set-point"
                 self._violate("standing", name, text, "")
+        if touching:
+            self._note_pushed(touching | self._touching, names, now_s)
         for pair in touching - self._touching:
             self._touched(pair, names, now_s)
         self._touching = touching
 
+    def _note_pushed(self, touching: Iterable[tuple[int, int]], names: Sequence[str], now_s: float) -> None:
+        """Follow contacts from each robot that is excused: they are pushed all along the chain."""
+        beside: dict[int, set[int]] = defaultdict(set)
+        for one, other in touching:
+            if other >= 0:
+                beside[one].add(other)
+                beside[other].add(one)
+        reached = {row for row in beside if self._excused(self._robots[names[row]], now_s)}
+        border = list(reached)
+        while border:
+            news = beside[border.pop()] - reached
+            reached |= news
+            border += news
+        for row in reached:
+            self._robots[names[row]].pushed_s = now_s
+
+    def _excused(self, robot: _Robot, now_s: float) -> bool:
+        """Tell whether its agent is not to blame for what a robot touches by its own motion."""
+        deceived = now_s - robot.excused_s <= EXCUSED_S or robot.deceived_s < math.inf
+        return deceived or self._behaviour(robot.running) in CENTRALISED
+
     def _touched(self, pair: tuple[int, int], names: Sequence[str], now_s: float) -> None:
         both = [self._robots[names[each]] for each in pair if each >= 0]
-        centralised = any(self._behaviour(each.running) in CENTRALISED for each in both)
-        if centralised or any(now_s - each.excused_s <= EXCUSED_S or each.deceived_s < math.inf for each in both):
+        if any(self._excused(each, now_s) or now_s - each.pushed_s <= PUSHED_S for each in both):
             self.excused += 1
             return
         other = both[1].name if len(both) > 1 else "a wall"

@@ -190,6 +190,40 @@ def test_a_body_that_goes_on_and_one_that_touches() -> None:
     assert scene.judge.excused == 1
 
 
+def test_a_contact_into_which_a_deceived_robot_pushes_others() -> None:
+    now_s = 1.0
+    judge = Judge(("r1", "r2", "r3", "r4"), lambda: now_s, lambda _: float("inf"))
+    still = (0.0, 0.0, 0.0, 0.0)
+    judge.deceived("r4", 1.0)
+    judge.stepped(still, ((2, 3),))
+    now_s += 0.2  # they bounce apart
+    judge.stepped(still, ())
+    judge.stepped(still, ((1, 2),))
+    assert (judge.excused, judge.violations) == (2, [])
+    judge.stepped(still, ((1, 2), (2, 3)))
+    now_s += 0.2
+    judge.stepped(still, ((0, 1), (1, 2), (2, 3)))
+    judge.stepped(still, ((0, -1), (0, 1)))
+    assert (judge.excused, judge.violations) == (5, []), "all along the chain, into a wall too"
+    now_s += 0.3
+    judge.stepped(still, ())
+    judge.stepped(still, ((0, 1),))
+    assert [(each.kind, each.robot) for each in judge.violations] == [("contact", "r1")], "nothing pushes any more"
+
+
+def test_robots_that_touch_each_other_do_not_excuse_each_other() -> None:
+    now_s = 1.0
+    judge = Judge(("r1", "r2", "r3"), lambda: now_s, lambda _: float("inf"))
+    judge.hindered("r3")
+    judge.stepped((0.0, 0.0, 0.0), ((0, 1), (1, 2)))
+    for _ in range(100):
+        now_s += 0.02
+        judge.stepped((0.0, 0.0, 0.0), ((0, 1), (1, 2)))
+    assert judge.violations == []
+    judge.stepped((0.0, 0.0, 0.0), ((0, 1), (1, 2), (0, -1)))
+    assert [each.kind for each in judge.violations] == ["contact"]
+
+
 def test_an_estop_that_the_core_repeats_is_as_old_as_the_operators() -> None:
     scene = Scene()
     scene.estop("e", engaged=True)
