@@ -329,6 +329,8 @@ class RequestHandler:
         order = state.order
         if order is None or order.enables_nothing or order.adopted or health.behaviour in IDLE:
             return False
+        if order.request_id == health.request_id:  # adopted by the report before this one
+            return False
         if state.ordered_s > -math.inf or state.acked_sequence:  # this core has asked it for something
             return False
         return health.request_id not in self._restored

@@ -447,6 +447,8 @@ class Judge:
         choices = [each for each in items if newest_s - each[0] <= TOGETHER_S]
         if self.core_lost_s >= choices[-1][0]:
             return
+        if not running and self._refused_s(robot) >= choices[-1][0]:  # it had left the one before for that
+            return
         if any(self._fits(robot, ask_id, running) for _, ask_id in choices):
             return
         self._violate("last", robot.name, f"it runs {running or 'nothing'}; last requested: {items[0][1]}", items[0][1])
@@ -464,9 +466,20 @@ class Judge:
             found, last = self._ask_of(request_id), self._status[request_id]
             if found is None or found.kind in ("stop", "e-stop") or robot.name not in first.robots:
                 continue
-            if last.phase == "refused" or robot.name in last.refused_by or robot.name in last.left_out:
+            if self._refused(robot, last) or robot.name in last.left_out:
                 continue
             yield at_s, request_id
+
+    def _refused(self, robot: _Robot, status: RequestStatus) -> bool:
+        return status.phase == "refused" or robot.name in status.refused_by
+
+    def _refused_s(self, robot: _Robot) -> float:
+        """Return when the newest request was accepted by the core that the robot then refused; -inf: there is none."""
+        refused = (
+            at_s for request_id, (at_s, first) in self._accepted.items()
+            if robot.name in first.robots and self._refused(robot, self._status[request_id])
+        )  # fmt: skip
+        return max(refused, default=-math.inf)
 
     def _fits(self, robot: _Robot, request_id: str, running: str) -> bool:
         ask = self._ask_of(request_id)

@@ -117,14 +117,14 @@ def test_a_database_that_fails_does_not_end_the_core(monkeypatch: pytest.MonkeyP
 
 
 class FullDisk:
-    """The disk of a swarm's core: while `full`, its database takes nothing."""
+    """The disk of a swarm's core: while `full`, its database takes nothing whose key `begins` so."""
 
-    def __init__(self, swarm: Swarm, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, swarm: Swarm, monkeypatch: pytest.MonkeyPatch, begins: str = "") -> None:
         self.full = False
         write = swarm.store.set_many
 
         def set_many(values: Mapping[str, Stored], author: str) -> tuple[ParamEntry, ...]:
-            if self.full:
+            if self.full and all(key.startswith(begins) for key in values):
                 raise ConfigError("the local database fails: disk full")
             return write(values, author)
 
@@ -182,6 +182,30 @@ def test_a_core_that_died_with_a_full_disk_leaves_robots_what_they_were_asked_fo
     swarm.ask("c", "voronoi_coverage")
     swarm.run(0.3)
     assert swarm.behaviours() == ["voronoi_coverage"] * 3
+    swarm.close()
+
+
+def test_a_core_that_has_lost_who_runs_a_centralised_request_has_it_started_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot reports twice before it has the request of the new core: ``rehearse --seed 71 --episode 29``."""
+    swarm = Swarm(store=Store(tmp_path / "core.db"))
+    disk = FullDisk(swarm, monkeypatch, "wanted/")
+    swarm.ask("a", "flocking")
+    swarm.run(0.2)
+    disk.full = True
+    swarm.ask("b", "voronoi_centralised", bounds=[[0.0, 0.0], [6.0, 6.0]])
+    swarm.run(0.3)
+    assert swarm.behaviours() == ["voronoi_centralised"] * 3
+    begun = {name: len(robot.log) for name, robot in swarm.robots.items()}
+    die(swarm, tmp_path / "core.db")
+    for robot in swarm.robots.values():
+        robot.report()
+        robot.report()
+    swarm.run(2.0)
+    assert [robot.log[begun[name] :] for name, robot in swarm.robots.items()] == [
+        [("on", "voronoi_centralised", "b")]
+    ] * 3
     swarm.close()
 
 

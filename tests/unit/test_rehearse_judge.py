@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from fullswarm.messages import (
@@ -297,6 +298,31 @@ def test_what_is_left_at_the_end() -> None:
     scene.report("")
     scene.judge.finish(("x",), (), {"ann": ("r1",), "bob": ("r1",)})
     assert scene.kinds() == ["unanswered", "lease", "last"]
+
+
+def test_a_robot_may_stand_that_has_left_a_request_for_one_that_it_refused() -> None:
+    scene = Scene()
+    scene.status("q")
+    scene.report("")
+    scene.at(3.0)
+    scene.judge.asked(Ask(3.0, "eve", "request", "p", ("r1",), "rendezvous_bc"))
+    scene.status("p")
+    running = RequestStatus(request_id="p", behaviour="rendezvous_bc", phase="running", robots=("r1", "r2"))
+    for status in (
+        msgspec.structs.replace(running, refused_by=("r2",)),
+        msgspec.structs.replace(running, refused_by=("r1",)),
+        msgspec.structs.replace(running, phase="refused"),
+    ):
+        scene.judge.published("core", status)
+        scene.judge.violations.clear()
+        scene.judge._told.clear()
+        scene.judge.finish((), (), {})
+        assert scene.kinds() == (["last"] if status.refused_by == ("r2",) else []), status
+    scene.at(5.0)
+    scene.judge.asked(Ask(5.0, "ann", "request", "o", ("r1",), "rendezvous_bc"))
+    scene.status("o")
+    scene.judge.finish((), (), {})
+    assert scene.kinds() == ["last"], "it was asked for another one since"
 
 
 def test_an_error_of_a_node() -> None:
