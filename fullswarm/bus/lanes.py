@@ -20,12 +20,14 @@ class Service(NamedTuple):
     lane: Lane
     rate_hz: float  # of one sender on one key
     stops: bool = False  # they stop robots
+    polled: bool = False  # a node asks for them when its loop begins, and is not woken by them
 
 
 STOPS = Service(Lane.ORDERS, 0.0, stops=True)
 ORDERS = Service(Lane.ORDERS, 500.0)  # eight sticks of one console send 160 a second
 ANSWERS = Service(Lane.ORDERS, 2000.0)  # of the core to all, of a host with many robots
 STATES = Service(Lane.STATES, 1000.0)  # twice the greatest rate of states
+POSES = STATES._replace(polled=True)  # robots tell several hundred a second, each says when it was measured
 READS = Service(Lane.READS, 100.0)  # twice the greatest rate of measurements
 CHANGES = Service(Lane.READS, 2000.0)  # of a database: one per robot of a request
 
@@ -34,6 +36,7 @@ _TOPICS = {
     "mission": ORDERS, "params": READS, "measurement": READS, "summary": READS, "memory": READS, "actuators": READS,
     "reload": READS, "camera": READS, "intervention": READS, "processes": READS, "identity": READS,
     "charging": READS, "grid": READS, "range": READS, "roster": READS,
+    "state": POSES,
 }  # fmt: skip
 """By the first part of a key after the swarm; all others carry states."""
 _SPECIAL = {

@@ -1,9 +1,9 @@
 """The live bus: a zenoh client of the hub behind the interface of every bus.
 
 Messages arrive on zenoh's receive thread, are decoded there and put into the node's mailbox; no Python thread is left
-that could keep a process from ending. A process that only shows what robots tell fetches it instead: a call from a
-thread that is not Python's costs 14 µs, twice the rest of the way. Messages between nodes of one process do not touch
-the network.
+that could keep a process from ending. States of robots are fetched instead, in a process that only shows what robots
+tell all else too: a call from a thread that is not Python's costs 14 µs, twice the rest of the way. Messages between
+nodes of one process do not touch the network.
 
 On the wire the sender is part of the key: what a node publishes on ``<swarm>/<rest>`` travels as
 ``<swarm>/<sender>/<rest>``, and a subscription to ``<swarm>/<rest>`` is one to ``<swarm>/*/<rest>``. So a secured hub
@@ -46,9 +46,11 @@ CACHED_KEYS = 1024
 
 FETCHED, FETCHED_AT_ONCE = 4096, 512
 """Messages that wait to be fetched at most, the newest ones, and those that one call takes."""
+SOON_S = 0.005
+"""Between two fetches of a subscription: a node wakes up more often than anything new has come."""
 MANY_HZ, MANY_S = 1500.0, 0.08
-"""A subscription that gets more than this rests for so long between two fetches: of 100 robots' states every second one
-is then never decoded, and pages are sent half as many."""
+"""In a process that only shows, a subscription that gets more than this rests for so long between two fetches: of 100
+robots' states every second one is then never decoded, and pages are sent half as many."""
 
 LOG_S = 1.0
 LOGGED_KEYS = 32
@@ -344,6 +346,8 @@ class Inbox:
         Run the handler on zenoh's thread when the node is idle (see :meth:`Mailbox.run_now`).
     fetched
         Have the mailbox fetch messages of other processes in place of that; only with `latest`.
+    rests_s
+        How long to wait between two fetches where many messages come.
     secured
         The hub guarantees the sender's name: check all fields of messages that depend on it.
     on_bad
@@ -368,6 +372,7 @@ class Inbox:
         with_sender: bool,
         at_once: bool,
         fetched: bool,
+        rests_s: float,
         secured: bool,
         on_bad: Callable[[str, MessageError], None],
         on_close: Callable[[Inbox], None],
@@ -380,7 +385,7 @@ class Inbox:
         self._mailbox, self._handler, self._latest = mailbox, handler, latest
         self._on_bad, self._on_close = on_bad, on_close
         self._at_once, self._with_sender, self._secured = at_once, with_sender, secured
-        self._fetched = fetched and latest
+        self._fetched, self._many_s = fetched and latest, rests_s
         self._service, self._clock = service_of(expression), MonotonicClock()
         self._too_often = MessageError(f"more than {self._service.rate_hz:g} a second of one sender")
         self._full = MessageError(f"the node is behind: {ROOM[self._service.lane]} messages wait")
@@ -425,7 +430,8 @@ class Inbox:
             if message is not None:
                 self._deliver(Delivery(message, origin.sender) if self._with_sender else message)
         more = count == FETCHED_AT_ONCE
-        self._fetched_s, self._rests_s = now_s, MANY_S if count > MANY_HZ * passed_s and not more else 0.0
+        rests_s = self._many_s if count > MANY_HZ * passed_s else SOON_S
+        self._fetched_s, self._rests_s = now_s, 0.0 if more else rests_s
         return more
 
     def receive(self, sample: zenoh.Sample) -> None:
@@ -725,6 +731,7 @@ class ZenohBus:
     def _listen(
         self, expression: str, kind: type[M], handler: Callable[[Any], None], latest: bool, *, with_sender: bool
     ) -> Inbox:
+        service = service_of(expression)
         inbox = Inbox(
             self._mailbox,
             expression,
@@ -732,8 +739,9 @@ class ZenohBus:
             handler,
             latest=latest,
             with_sender=with_sender,
-            at_once=is_urgent(expression) or service_of(expression).lane is Lane.STATES,
-            fetched=self._only_shows and service_of(expression).lane is not Lane.ORDERS,
+            at_once=is_urgent(expression) or service.lane is Lane.STATES,
+            fetched=service.polled or (self._only_shows and service.lane is not Lane.ORDERS),
+            rests_s=MANY_S if self._only_shows else SOON_S,
             secured=self._secured,
             on_bad=self._drop,
             on_close=self._forget,

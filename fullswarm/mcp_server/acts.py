@@ -34,6 +34,9 @@ MOST_PARAMETERS = 64
 MOST_ESTOPS = 16
 """Choices of robots whose e-stop is being repeated; more are refused, all robots together never are."""
 URGENT = frozenset({"engage_estop", "stop_robots"})
+OVERTAKING = frozenset({"engage_estop"})
+"""Carried out before calls that came earlier: robots in e-stop refuse these. A stop waits for its turn, or a request
+from before it would start robots again."""
 RELEASES = frozenset({"release_estop", "clear_estop", "reset_estop", "disengage_estop"})
 
 Number = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]

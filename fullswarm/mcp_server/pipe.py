@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 
 import anyio
@@ -36,8 +38,9 @@ from fullswarm.mcp_server.tools import failed
 LONGEST_LINE = 262_144
 """Bytes of one message; the longest that a tool needs has a few thousand."""
 CHUNK = 65_536
-IN_FLIGHT = 32
-"""Calls that are being answered; the next one is read when one of them has been."""
+IN_FLIGHT, WAITING, STOPS = 32, 64, 64
+"""Calls that are being answered, and messages that wait for one of them to be; what comes then is refused, but for so
+many stops. Reading goes on all the time: an e-stop may come behind them."""
 WRITE_S = 30.0
 """A client that reads nothing for so long is lost."""
 TOO_FAST = -32_005
@@ -52,13 +55,17 @@ class Pipe:
     Parameters
     ----------
     urgent : tools whose calls no rate limit refuses
+    first : those of them whose calls overtake all that waits
     """
 
-    def __init__(self, source: int, sink: int, rate: RateLimit, urgent: frozenset[str]) -> None:
-        self._source, self._sink, self._rate, self._urgent = source, sink, rate, urgent
+    def __init__(
+        self, source: int, sink: int, rate: RateLimit, urgent: frozenset[str], first: frozenset[str] = frozenset()
+    ) -> None:
+        self._source, self._sink, self._rate, self._urgent, self._first = source, sink, rate, urgent, first
         self._source_polls = self._sink_polls = True
         self._opened = False
-        self._in_flight = anyio.Semaphore(IN_FLIGHT)
+        self._in_flight, self._first_in_flight = anyio.Semaphore(IN_FLIGHT), anyio.Semaphore(IN_FLIGHT)
+        self._overtaking: Counter[str | int] = Counter()  # ids of calls that are being answered beside the others
         self._writing = anyio.Lock()
 
     @asynccontextmanager
@@ -77,10 +84,34 @@ class Pipe:
 
     # ---------------------------------------------------------------- reading
     async def _read(self, inward: MemoryObjectSendStream[SessionMessage | Exception]) -> None:
+        waiting, taken = anyio.create_memory_object_stream[JSONRPCMessage](WAITING + STOPS)
         with contextlib.suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
-            async with inward:
-                async for line in self._lines():
-                    await self._take(line, inward)
+            async with inward, taken, anyio.create_task_group() as tasks:
+                tasks.start_soon(self._pass_on, taken, inward)
+                async with waiting:
+                    async for line in self._lines():
+                        await self._take(line, waiting, inward)
+
+    async def _pass_on(
+        self,
+        taken: MemoryObjectReceiveStream[JSONRPCMessage],
+        inward: MemoryObjectSendStream[SessionMessage | Exception],
+    ) -> None:
+        """Hand what waits on to the SDK's server, in order, while there is room for it."""
+        async for message in taken:
+            if isinstance(message, JSONRPCRequest):
+                await self._in_flight.acquire()
+                self._opened = True
+            await self._hand_on(message, inward)
+
+    async def _hand_on(
+        self, message: JSONRPCMessage, inward: MemoryObjectSendStream[SessionMessage | Exception]
+    ) -> None:
+        if isinstance(message, JSONRPCRequest):
+            metadata = ServerMessageMetadata(on_request_unanswered=partial(self._settled, message.id))
+            await inward.send(SessionMessage(message, metadata))
+        else:
+            await inward.send(SessionMessage(message))
 
     async def _lines(self) -> AsyncIterator[bytes]:
         """Yield each line of at most `LONGEST_LINE` bytes; refuse longer ones, whose bytes are not kept."""
@@ -111,8 +142,13 @@ class Pipe:
             await anyio.lowlevel.checkpoint()
         return os.read(self._source, CHUNK)
 
-    async def _take(self, line: bytes, inward: MemoryObjectSendStream[SessionMessage | Exception]) -> None:
-        """Hand one message on, or refuse it."""
+    async def _take(
+        self,
+        line: bytes,
+        waiting: MemoryObjectSendStream[JSONRPCMessage],
+        inward: MemoryObjectSendStream[SessionMessage | Exception],
+    ) -> None:
+        """Have one message wait for its turn, hand it on at once, or refuse it."""
         if not line.strip():
             return
         try:
@@ -121,39 +157,32 @@ class Pipe:
             await self._refuse_line(PARSE_ERROR, "a line is no JSON-RPC message")
             return
         if isinstance(message, JSONRPCRequest):
-            if not self._is_urgent(message) and not self._rate.admit():
-                await self._send(self._too_fast(message))
-                return
-            await self._in_flight.acquire()
-            self._opened = True
-            metadata = ServerMessageMetadata(on_request_unanswered=self._settled)
-            await inward.send(SessionMessage(message, metadata))
-        elif self._opened and (_cancels(message) or self._rate.admit()):
-            # What comes before the first request would be kept by the SDK, without a bound.
-            await inward.send(SessionMessage(message))
-
-    def _is_urgent(self, message: JSONRPCRequest) -> bool:
-        return message.method == "tools/call" and (message.params or {}).get("name") in self._urgent
-
-    def _too_fast(self, message: JSONRPCRequest) -> JSONRPCMessage:
-        """Return the answer to a call that the rate limit refuses; a model sees an error of a tool only."""
-        error = FullswarmError(
-            f"more than {self._rate.per_s:g} calls per second",
-            where=message.method[:64],
-            hint="wait a second, then call",
-        )
-        if message.method == "tools/call":
-            result = failed(error).model_dump(by_alias=True, mode="json", exclude_none=True)
-            return JSONRPCResponse(jsonrpc="2.0", id=message.id, result=result)
-        return JSONRPCError(jsonrpc="2.0", id=message.id, error=ErrorData(code=TOO_FAST, message=str(error)))
+            tool = _tool(message)
+            if tool in self._first and self._opened:
+                await self._first_in_flight.acquire()
+                self._overtaking[message.id] += 1
+                await self._hand_on(message, inward)
+            elif tool in self._urgent:
+                await waiting.send(message)
+            elif not self._rate.admit():
+                await self._send(_refusal(message, f"more than {self._rate.per_s:g} calls per second"))
+            elif not _offer(waiting, message):
+                await self._send(_refusal(message, f"{IN_FLIGHT + WAITING} calls have no answer yet"))
+        # What comes before the first request would be kept by the SDK, without a bound.
+        elif (self._opened or waiting.statistics().current_buffer_used) and (_cancels(message) or self._rate.admit()):
+            _offer(waiting, message)
 
     async def _refuse_line(self, code: int, text: str) -> None:
         if self._rate.admit():
             await self._send(JSONRPCError(jsonrpc="2.0", id=None, error=ErrorData(code=code, message=text)))
 
-    async def _settled(self) -> None:
-        """Note that a call has ended without an answer: its client has cancelled it."""
-        self._in_flight.release()
+    async def _settled(self, call: str | int) -> None:
+        """Note that a call has ended, also without an answer: its client has cancelled it."""
+        if self._overtaking[call] > 0:
+            self._overtaking[call] -= 1
+            self._first_in_flight.release()
+        else:
+            self._in_flight.release()
 
     # ---------------------------------------------------------------- writing
     async def _write_answers(self, outward: MemoryObjectReceiveStream[SessionMessage]) -> None:
@@ -162,8 +191,8 @@ class Pipe:
                 try:
                     await self._send(each.message)
                 finally:
-                    if isinstance(each.message, JSONRPCResponse | JSONRPCError):
-                        self._in_flight.release()
+                    if isinstance(each.message, JSONRPCResponse | JSONRPCError) and each.message.id is not None:
+                        await self._settled(each.message.id)
 
     async def _send(self, message: JSONRPCMessage) -> None:
         data = message.model_dump_json(by_alias=True, exclude_unset=True).encode(errors="replace") + b"\n"
@@ -188,6 +217,29 @@ class Pipe:
                 await anyio.wait_writable(self._sink)
             except PermissionError:
                 self._sink_polls = False
+
+
+def _refusal(message: JSONRPCRequest, what: str) -> JSONRPCMessage:
+    """Return the answer to a call that is not taken; a model sees an error of a tool only."""
+    error = FullswarmError(what, where=message.method[:64], hint="wait a second, then call")
+    if message.method == "tools/call":
+        result = failed(error).model_dump(by_alias=True, mode="json", exclude_none=True)
+        return JSONRPCResponse(jsonrpc="2.0", id=message.id, result=result)
+    return JSONRPCError(jsonrpc="2.0", id=message.id, error=ErrorData(code=TOO_FAST, message=str(error)))
+
+
+def _tool(message: JSONRPCRequest) -> str:
+    """Return the tool that a request calls; empty: it calls none."""
+    name = (message.params or {}).get("name") if message.method == "tools/call" else ""
+    return name if isinstance(name, str) else ""
+
+
+def _offer(waiting: MemoryObjectSendStream[JSONRPCMessage], message: JSONRPCMessage) -> bool:
+    """Have a message wait; return whether there was room for it."""
+    if waiting.statistics().current_buffer_used >= WAITING:
+        return False
+    waiting.send_nowait(message)
+    return True
 
 
 def _cancels(message: Any) -> bool:

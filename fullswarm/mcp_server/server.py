@@ -28,7 +28,7 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.launch.processes import newest_audit_folder
 from fullswarm.mcp_server.access import Access
-from fullswarm.mcp_server.acts import URGENT, Acts, Stops, refusal_of
+from fullswarm.mcp_server.acts import OVERTAKING, URGENT, Acts, Stops, refusal_of
 from fullswarm.mcp_server.authority import HeldRobots
 from fullswarm.mcp_server.limits import RateLimit
 from fullswarm.mcp_server.pipe import Pipe
@@ -133,7 +133,7 @@ async def _serve(client: Client, options: McpOptions, guide: str, sink: int) -> 
     clock = MonotonicClock()
     tools = _tools(client, options, clock)
     server = _server(tools, Documents(guide))
-    pipe = Pipe(STDIN, sink, RateLimit(clock, CALLS_PER_S, CALLS_AT_ONCE), URGENT)
+    pipe = Pipe(STDIN, sink, RateLimit(clock, CALLS_PER_S, CALLS_AT_ONCE), URGENT, OVERTAKING)
     async with pipe.streams() as (inward, outward):
         await server.run(inward, outward, server.create_initialization_options())
 

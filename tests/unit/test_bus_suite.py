@@ -35,7 +35,7 @@ from fullswarm.bus.zenoh_bus import (
 from fullswarm.clock import MonotonicClock, SimClock
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, Heartbeat, Reception, SeenObstacles, StopRequest
+from fullswarm.messages import Command, Heartbeat, Reception, RobotStates, SeenObstacles, StopRequest
 from fullswarm.runtime import FETCH_S, Mailbox
 
 DEADLINE_S = 5.0
@@ -455,6 +455,44 @@ def test_who_only_shows_fetches_the_newest_and_hears_heartbeats_at_once(
     publisher.publish(KEYS.obstacles("r1"), seen_obstacles(0))
     pair.settle()
     assert seen[-1] == last
+
+
+def test_every_node_fetches_states_and_hears_all_else_at_once(remote: tuple[ZenohBus, ZenohBus, Pair]) -> None:
+    publisher, subscriber, pair = remote
+    seen: list[tuple[str, int]] = []
+    beats: list[int] = []
+
+    def tell(host: str, number: int) -> None:
+        row = (1.0,)
+        publisher.publish(
+            KEYS.state("swarm", host),
+            RobotStates(
+                host=host, robots=(host,), x_m=row, y_m=row, heading_rad=row, speed_m_s=row, turn_rad_s=row,
+                radius_m=row, sequence=number, stamp_s=0.0,
+            ),
+        )  # fmt: skip
+
+    listening = subscriber.subscribe(
+        KEYS.state(), RobotStates, lambda message: seen.append((message.host, message.sequence)), latest=True
+    )
+    subscriber.subscribe(KEYS.heartbeat(), Heartbeat, lambda message: beats.append(message.sequence), latest=True)
+    pair.settle()
+    for number in range(FETCHED_AT_ONCE // 4):
+        tell("r1", number)
+        tell("r2", number)
+    last = FETCHED_AT_ONCE // 4 - 1
+    publisher.publish(KEYS.heartbeat("a"), beat(7, "a"))
+    inbox = next(each for each in subscriber._inboxes if each.kind is Heartbeat)
+    wait(lambda: bool(inbox._waiting))
+    assert seen == [], "nothing was woken by a state"
+    assert pair.mailbox.fetch_s == FETCH_S
+    assert not pair.mailbox.fetch()
+    assert seen == [("r1", last), ("r2", last)], "the newest of each robot"
+    tell("r1", last + 1)
+    pair.until(lambda: seen[-1] == ("r1", last + 1))
+    assert beats == [7]
+    listening.close()
+    assert pair.mailbox.fetch_s == math.inf
 
 
 def test_what_is_fetched_is_checked_like_all_else(

@@ -19,7 +19,7 @@ from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused
 from fullswarm.mcp_server.authority import TOKEN_S, DryRuns
 from fullswarm.mcp_server.limits import LONGEST_TEXT, MOST_ENTRIES, RateLimit, plain
-from fullswarm.mcp_server.pipe import IN_FLIGHT, LONGEST_LINE, Pipe, Streams
+from fullswarm.mcp_server.pipe import IN_FLIGHT, LONGEST_LINE, WAITING, Pipe, Streams
 from fullswarm.mcp_server.server import model_name
 from fullswarm.mcp_server.tools import LARGEST_ANSWER, Arguments, Tool
 
@@ -129,7 +129,10 @@ async def piped(per_s: float = 1e6) -> AsyncIterator[tuple[int, int, Streams, Si
     os.set_blocking(client_out, False)
     os.set_blocking(client_in, False)
     try:
-        async with Pipe(source, sink, RateLimit(clock, per_s, per_s), frozenset({"halt"})).streams() as streams:
+        pipe = Pipe(
+            source, sink, RateLimit(clock, per_s, per_s), frozenset({"halt", "latch"}), frozenset({"latch"})
+        )  # fmt: skip
+        async with pipe.streams() as streams:
             yield client_out, client_in, streams, clock
     finally:
         for end in (source, client_out, client_in, sink):
@@ -217,6 +220,53 @@ def test_what_is_in_flight_is_bounded_also_when_the_client_cancels() -> None:
             await received(streams)
             await reply(streams, taken[1])
             await received(streams)
+
+    anyio.run(run)
+
+
+def test_an_estop_overtakes_calls_that_wait_for_others_to_be_answered_and_a_stop_does_not() -> None:
+    async def run() -> None:
+        async with piped() as (out, back, streams, _clock):
+            many = IN_FLIGHT + 20
+            os.write(out, b"".join(call(each) for each in range(many)))
+            taken = [await received(streams) for _ in range(IN_FLIGHT)]
+            for number in range(3):  # copies with the same id, too
+                os.write(out, call(1000, "latch") + call(2000 + number, "halt"))
+                first = await received(streams)
+                assert isinstance(first.message, JSONRPCRequest)
+                assert first.message.id == 1000
+                await reply(streams, first)
+            answers = await lines(back, 3)
+            assert {each["id"] for each in answers} == {1000}
+            for message in taken:
+                await reply(streams, message)
+            order = []
+            for _ in range(20 + 3):
+                message = await received(streams)
+                assert isinstance(message.message, JSONRPCRequest)
+                order.append(message.message.id)
+                await reply(streams, message)
+            assert order == sorted(order), "in the order in which they came"
+            assert order[-3:] == [2000, 2001, 2002]
+
+    anyio.run(run)
+
+
+def test_calls_for_which_there_is_no_room_are_refused_and_an_estop_behind_them_is_not() -> None:
+    async def run() -> None:
+        async with piped() as (out, back, streams, _clock):
+            os.write(out, b"".join(call(each) for each in range(250)))
+            first = await received(streams)
+            os.write(out, call(2000, "halt") + call(1000, "latch"))
+            while True:
+                message = await received(streams)
+                assert isinstance(message.message, JSONRPCRequest)
+                if message.message.id == 1000:
+                    break
+            refused = await lines(back, 250 - IN_FLIGHT - 2 * WAITING)
+            assert len(refused) <= 250 - IN_FLIGHT
+            assert all("have no answer yet" in each["result"]["content"][0]["text"] for each in refused)
+            await reply(streams, first)
 
     anyio.run(run)
 

@@ -188,6 +188,7 @@ class Neighbours:
         if not states.robots or not _fits(states) or not self._admit(states.robots, now_s):
             return
         self._newest[states.host] = (states.sequence, states.stamp_s, now_s)
+        self._stale = True
         if states.own_frame:
             self.own_frame_host, self.own_frame_s = states.host, now_s
         if len(states.robots) == 1:
@@ -253,7 +254,7 @@ class Neighbours:
         """Give up the row of a robot that is not of the fleet file and has been silent for long."""
         row = self._row_of.pop(robot, None)
         if row is not None:
-            self.arrival_s[row] = -math.inf
+            self.arrival_s[row], self._stale = -math.inf, True
             self._free.append(row)
             self._batch, self._kept = None, None
             for callback in self.on_forget:
@@ -306,7 +307,8 @@ class Neighbours:
 
     def set_time(self, now_s: float) -> None:
         """Have `within` and `around` answer for `now_s` from here on."""
-        self.now_s, self._stale = now_s, True
+        if now_s != self.now_s:
+            self.now_s, self._stale = now_s, True
 
     def refresh(self, now_s: float) -> None:
         """Predict to `now_s` now, unless that has been done."""
@@ -352,7 +354,7 @@ class Neighbours:
             stated_m_s = float(self.limits[row, 0])
             fastest_m_s = self._assumed.speed_m_s if math.isnan(stated_m_s) else stated_m_s
             if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), fastest_m_s)):
-                self.arrival_s[row] = -math.inf
+                self.arrival_s[row], self._stale = -math.inf, True
 
     def at_rest(self, now_s: float) -> Flags:
         """Tell which robots are silent and at standstill by now, (m,): their discs grow no more."""
@@ -375,6 +377,7 @@ class Neighbours:
     def confine(self, row: int, x_m: float, y_m: float, radius_m: float) -> None:
         """Hold the disc of a silent robot to (x, y) and a radius; NaN: it is nowhere near. A new state ends that."""
         self._confined[row] = x_m, y_m, radius_m, self.arrival_s[row]
+        self._stale = True
 
     def within(
         self, position: Array, reach_m: float, team: Index | None = None, peers: Peers = NO_PEERS
