@@ -85,9 +85,9 @@ class Pipe:
     # ---------------------------------------------------------------- reading
     async def _read(self, inward: MemoryObjectSendStream[SessionMessage | Exception]) -> None:
         waiting, taken = anyio.create_memory_object_stream[JSONRPCMessage](WAITING + STOPS)
-        with contextlib.suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
-            async with inward, taken, anyio.create_task_group() as tasks:
-                tasks.start_soon(self._pass_on, taken, inward)
+        async with inward, anyio.create_task_group() as tasks:
+            tasks.start_soon(self._pass_on, taken, inward)
+            with contextlib.suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
                 async with waiting:
                     async for line in self._lines():
                         await self._take(line, waiting, inward)
@@ -98,11 +98,13 @@ class Pipe:
         inward: MemoryObjectSendStream[SessionMessage | Exception],
     ) -> None:
         """Hand what waits on to the SDK's server, in order, while there is room for it."""
-        async for message in taken:
-            if isinstance(message, JSONRPCRequest):
-                await self._in_flight.acquire()
-                self._opened = True
-            await self._hand_on(message, inward)
+        with contextlib.suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
+            async with taken:
+                async for message in taken:
+                    if isinstance(message, JSONRPCRequest):
+                        await self._in_flight.acquire()
+                        self._opened = True
+                    await self._hand_on(message, inward)
 
     async def _hand_on(
         self, message: JSONRPCMessage, inward: MemoryObjectSendStream[SessionMessage | Exception]
