@@ -95,7 +95,8 @@ def test_twenty_receipts_and_how_far_each_rolled(swarm: LiveSwarm) -> None:
     assert max(order.answered_s.values()) < RECEIPT_S
     true_m = np.hypot(*(swarm.world.pose[:, :2] - before).T)
     told_m = np.array([order.receipts[robot].rolled_m for robot in swarm.config.robots])
-    drove = true_m > 0.02  # a busy machine makes commands late: some may just have set off again
+    # The way to a standstill from 0.3 m/s is 2 cm. A busy machine makes commands late: some may just have set off.
+    drove = true_m > 0.01
     assert drove.sum() >= COUNT / 2, f"they were driving: {true_m.round(3)}"
     assert told_m[drove].mean() > 0.005
     # Until the order has arrived a robot drives on, as far as it gets in the time that a busy machine takes for the

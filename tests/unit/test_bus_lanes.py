@@ -6,7 +6,19 @@ import inspect
 
 import pytest
 
-from fullswarm.bus.lanes import ANSWERS, BURST_S, CHANGES, ORDERS, READS, STATES, STOPS, Bucket, Service, service_of
+from fullswarm.bus.lanes import (
+    ANSWERS,
+    BURST_S,
+    CHANGES,
+    ORDERS,
+    POSES,
+    READS,
+    STATES,
+    STOPS,
+    Bucket,
+    Service,
+    service_of,
+)
 from fullswarm.config import AgentConfig
 from fullswarm.keys import Keys
 
@@ -19,7 +31,7 @@ KEYS = Keys("lab")
         (KEYS.stop, STOPS), (KEYS.estop, STOPS), (KEYS.estop_receipt("r1"), ANSWERS), (KEYS.behaviour_request, ORDERS),
         (KEYS.control_requests("r1", "drive"), ORDERS), (KEYS.command(), ORDERS), (KEYS.ack(), ANSWERS),
         (KEYS.behaviour_status, ANSWERS), (KEYS.param_changed(), CHANGES),
-        (KEYS.heartbeat("core"), ORDERS), (KEYS.state(), STATES), (KEYS.pose_fix("r1"), STATES),
+        (KEYS.heartbeat("core"), ORDERS), (KEYS.state(), POSES), (KEYS.pose_fix("r1"), STATES),
         (KEYS.health(), STATES), (KEYS.profile(), STATES), (KEYS.report_query, READS),
         (KEYS.param_request("core"), READS), (KEYS.measurement("robots"), READS), (KEYS.summary(), READS),
     ],
@@ -41,10 +53,11 @@ def test_no_key_is_left_out_by_mistake() -> None:
             keys[name] = each
     states = {name for name, key in keys.items() if service_of(key) == STATES}
     assert states == {
-        "pose_fix", "object_fix", "fix_source", "true_poses", "world_hold", "state",
+        "pose_fix", "object_fix", "fix_source", "true_poses", "world_hold",
         "broadcast", "profile", "reception", "relay", "searched", "obstacles", "health",
         "clock_probe", "clock_reply", "version",
     }  # fmt: skip
+    assert {name for name, key in keys.items() if service_of(key).polled} == {"state"}, "no clock, no stop"
 
 
 def test_rates_are_beyond_the_greatest_that_can_be_set() -> None:
