@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable
 
@@ -91,7 +92,7 @@ def test_what_was_long_ago_and_what_is_short_does_not_count() -> None:
     assert stalls.note(60.0) == LONGEST_S
     for _ in range(round(FADES_S / 0.02)):
         left_s = stalls.note(0.02)
-    assert left_s == pytest.approx(LONGEST_S / np.e, rel=0.01)
+    assert left_s == pytest.approx(LONGEST_S / math.e, rel=0.01)
     for _ in range(round(5 * FADES_S / 0.02)):
         left_s = stalls.note(0.02)
     assert left_s == 0.0
