@@ -328,11 +328,22 @@ def _check_jump(trial: Trial, clock: JumpClock) -> str:
     trial.ignored_s = clock.now_s() - 0.5 * HOUR_S
     what = f"a jump of the clock by {HOUR_S:.0f} s"
     took_s = trial.come_to_rest(SILENCE_S + trial.settle_s, what)
-    well = trial.wait(lambda: trial.state in (Lifecycle.READY, Lifecycle.ACTIVE), trial.rig.ready_s)
+    again: list[Twist | None] = []
+
+    def look() -> None:
+        if not trial.at_rest():
+            again.append(trial.motion)
+
+    well = trial.wait(lambda: trial.state in (Lifecycle.READY, Lifecycle.ACTIVE), trial.rig.ready_s, look)
     trial.demand(
         well,
         f"it is {trial.state} {trial.rig.ready_s} s after {what} ({trial.driver.fault or 'no fault'}); recover",
     )
+    # On a machine with too much to do, readings come later than the truth of the rig.
+    trial.demand(
+        trial.wait(trial.still, trial.settle_s, look), f"its readings still show motion {trial.settle_s} s after {what}"
+    )
+    trial.demand(not again, f"it came to rest after {what}, and moves again without a command: {again and again[0]}")
     state, after = trial.state, trial.fresh().odometry
     gone_m = math.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
     most_m = 2.0 * trial.pace.linear_m_s * (SILENCE_S + trial.settle_s) + trial.pace.linear_m_s * trial.rig.ready_s
