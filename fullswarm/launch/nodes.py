@@ -89,13 +89,13 @@ def core(
     extra += robot_summarizers(bus, keys, scheduler, conditions, config.robots, config.bounds_m)
     extra.append(PerformanceNode(bus, keys, scheduler, config.core.results))
     if audit is None:
-        return [store, CoreNode(bus, scheduler, config, store, process, tuple(extra), wall_s)]
+        return [store, CoreNode(bus, scheduler, config, store, process, tuple(extra), wall_s, settings)]
     from fullswarm.audit.log import AuditLog
     from fullswarm.core.audit import AuditRecorder, noted_head
 
     log = AuditLog(audit, process, scheduler.now_s, wall_s, anchor=noted_head(store))
     recorder = AuditRecorder(bus, keys, scheduler, log, store, process, lambda name: node.library.expires(name))
-    node = CoreNode(recorder.bus, scheduler, config, store, process, tuple(extra), wall_s)
+    node = CoreNode(recorder.bus, scheduler, config, store, process, tuple(extra), wall_s, settings)
     return [store, recorder, node]
 
 

@@ -1,11 +1,13 @@
 """A spare process: it has imported what the processes of a swarm need, and becomes one of them when that has died.
 
-Imports take most of a start: nearly a second of a processor, and several where sixteen agents share two of them. The
-supervisor keeps one spare; it waits for a line on its stdin that says what to become, and ends with its supervisor.
+Imports take most of a start: nearly a second of a processor, and several where sixteen agents share two of them. So do
+the command line's parser and the records of all behaviours, which it makes and reads as well. The supervisor keeps one
+spare; it waits for a line on its stdin that says what to become, and ends with its supervisor.
 """
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -29,8 +31,9 @@ ROOM = 1000
 MODULES = (
     "fullswarm.cli.main", "fullswarm.launch.nodes", "fullswarm.launch.network", "fullswarm.launch.on_board",
     "fullswarm.launch.reload", "fullswarm.bus.hub", "fullswarm.bus.zenoh_bus", "fullswarm.bus.versions",
-    "fullswarm.agent.node", "fullswarm.drivers.fleet", "fullswarm.core.node", "fullswarm.core.audit",
-    "fullswarm.perf.performance_node",
+    "fullswarm.launch.journals", "fullswarm.agent.node", "fullswarm.drivers.fleet", "fullswarm.core.node",
+    "fullswarm.core.audit", "fullswarm.core.centralised.node", "fullswarm.perf.performance_node",
+    "fullswarm.perf.summarizers", "pydantic.type_adapter",
 )  # fmt: skip
 """Not the simulated world's, which would double the memory."""
 
@@ -103,7 +106,7 @@ def wait_for_order() -> list[str]:
     SystemExit
         There is none: the supervisor has ended.
     """
-    _import_all()
+    _prepare()
     line = sys.stdin.buffer.readline()
     if not line:
         raise SystemExit(0)
@@ -119,14 +122,18 @@ def wait_for_order() -> list[str]:
     return list(order.arguments)
 
 
-def _import_all() -> None:
+def _prepare() -> None:
     for name in MODULES:
         import_module(name)
+    import_module("fullswarm.cli.main").parser()
     with suppress(FullswarmError):  # the process that it becomes will say what is wrong
         config = load_swarm(Path(os.environ.get(RUN, "")) / FLEET)
         for each in config.robot:
             if not each.elsewhere:
                 registry.driver_class(driver_url(config, each))
+        import_module("fullswarm.core.behaviours").all_records()
+    gc.collect()
+    gc.freeze()  # else the process that it becomes looks through all of it once more
 
 
 def _show(arguments: Sequence[str]) -> None:
