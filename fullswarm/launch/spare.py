@@ -31,8 +31,8 @@ ROOM = 1000
 MODULES = (
     "fullswarm.cli.main", "fullswarm.launch.nodes", "fullswarm.launch.network", "fullswarm.launch.on_board",
     "fullswarm.launch.reload", "fullswarm.bus.hub", "fullswarm.bus.zenoh_bus", "fullswarm.bus.versions",
-    "fullswarm.launch.journals", "fullswarm.agent.node", "fullswarm.drivers.fleet", "fullswarm.core.node",
-    "fullswarm.core.audit", "fullswarm.core.centralised.node", "fullswarm.perf.performance_node",
+    "fullswarm.launch.journals", "fullswarm.agent.node", "fullswarm.drivers.fleet", "fullswarm.drivers.guardian",
+    "fullswarm.core.node", "fullswarm.core.audit", "fullswarm.core.centralised.node", "fullswarm.perf.performance_node",
     "fullswarm.perf.summarizers", "pydantic.type_adapter",
 )  # fmt: skip
 """Not the simulated world's, which would double the memory."""
