@@ -13,7 +13,7 @@ BROWSER := -m "not slow" tests/browser
 # busy machine made late comes in time; what is wrong fails again. Both reports are printed.
 AGAIN := --last-failed --last-failed-no-failures none -x
 
-.PHONY: help demo test test-fleet test-all check docs bench clean venv compiled
+.PHONY: help demo test test-live test-fleet test-all check docs bench clean venv compiled
 help:                  ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -22,10 +22,12 @@ venv: $(VENV)/.dev     ## only set up .venv
 demo: $(VENV)/.user compiled ## eight robots, and the address of a page to drive them from (ARGS=--headless: a show only)
 	$(BIN)/fullswarm demo $(ARGS)
 
-test: $(VENV)/.dev compiled ## all tests that belong to a change
+test: $(VENV)/.dev compiled ## before each commit: all units, and real processes that die while robots drive
 	$(BIN)/pytest -q -n 2 -m "not slow" tests/unit $(ARGS)
-	$(BIN)/pytest -q -n 3 --dist loadfile $(LIVE) $(ARGS) || $(BIN)/pytest -q $(LIVE) $(AGAIN) $(ARGS)
 	$(BIN)/pytest -q $(ALONE) $(ARGS) || $(BIN)/pytest -q $(ALONE) $(AGAIN) $(ARGS)
+
+test-live: $(VENV)/.dev compiled ## emulated robots, all other real processes, and the console in a browser
+	$(BIN)/pytest -q -n 3 --dist loadfile $(LIVE) $(ARGS) || $(BIN)/pytest -q $(LIVE) $(AGAIN) $(ARGS)
 	$(BIN)/pytest -q $(BROWSER) $(ARGS) || $(BIN)/pytest -q $(BROWSER) $(AGAIN) $(ARGS)
 
 test-fleet: $(VENV)/.dev compiled ## deploy to 16 computers: containers with systemd and sshd (root, Debian packages)

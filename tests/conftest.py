@@ -7,7 +7,7 @@ import pytest
 import structlog
 from hypothesis import HealthCheck, settings
 
-# Machines are noisy: how long an example took says nothing about the code. `make test` tries the same examples each
+# Machines are noisy: how long an example took says nothing about the code. CI tries the same examples each
 # time, so that it tells of the change at hand; `make test-all` looks for new ones.
 USUAL = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("repeatable", USUAL, derandomize=True)

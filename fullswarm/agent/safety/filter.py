@@ -33,7 +33,7 @@ EXPLAIN = {
 LEVEL = {BLIND: logging.WARNING, CROWDED: logging.WARNING, TOO_FAST: logging.INFO}
 LONGEST_S = 0.1
 """A deviation counts for so long at most in its sum over time."""
-QUIET_S = 10.0
+QUIET_S = 60.0
 FEW = 5
 LOOSE_GAIN_PER_S = 2.0
 """γ of the linear barrier, or less, for makes with a dead time or an overrun, whatever form is set."""
