@@ -1,10 +1,15 @@
 """Runs `fullswarm up` for a long time and measures what grows.
 
-``python -m benchmarks.soak [--robots 16] [--minutes 30]``: simulated robots, a console with a page connected, and an
-operator that sends a request each second. Every ten seconds memory, file descriptors and threads of all processes and
-the bytes of databases and logs are read. Prints their slopes over the last two thirds, by least squares, beside the
-level: what is flat has a slope near zero. The audit log keeps each request, up to a bound; it has no limit here. Exit
-code 1 if a process ended, or if any slope is above `LIMITS`.
+``python -m benchmarks.soak [--robots 16] [--minutes 30] [--warm-up 42] [--series FILE]``: simulated robots, a console
+with a page connected, and an operator that sends a request each second. Every ten seconds memory, file descriptors and
+threads of all processes and the bytes of databases and logs are read. Prints their slopes, by least squares, beside the
+level: what is flat has a slope near zero.
+
+What is bounded grows until its bound, so that is reached first. The console keeps frames of 30 minutes and samples of
+40 for those who look back, the core the last 8,192 requests: a warm-up of 42 minutes with four requests a second fills
+all. With a shorter one the table shows how these fill. The audit log keeps each request, up to a bound; it has no limit
+here. Exit code 1 if a process ended, or if any slope is above `LIMITS`. ``--series`` keeps all samples as JSON, with
+those of the warm-up, to plot.
 """
 
 from __future__ import annotations
@@ -41,6 +46,8 @@ from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Mailbox, Runtime
 
 SAMPLE_S = 10.0
+WARM_UP_HZ, HZ = 4.0, 1.0
+"""Requests."""
 READY_S = 120.0
 ANSWERED_S = 10.0
 MB = 2.0**20
@@ -54,6 +61,7 @@ class Samples:
     def __init__(self) -> None:
         self.times_s: list[float] = []
         self.values: dict[tuple[str, str], list[float]] = defaultdict(list)
+        self.warm_s = math.inf
 
     def take(self, root: psutil.Process, folder: Path) -> None:
         """Read all processes below `root`, itself included, and the files of the run's folder."""
@@ -72,13 +80,19 @@ class Samples:
         self.values["logs kB", "all"].append(sum(each.stat().st_size for each in logs) / 1024)
         self.values["audit kB", "all"].append(sum(each.stat().st_size for each in audit) / 1024)
 
+    def save(self, file: Path) -> None:
+        """Write all series as JSON: the times in seconds, and a list of values for each quantity and process."""
+        series = {f"{what} of {name}": values for (what, name), values in self.values.items()}
+        file.write_text(json.dumps({"times_s": self.times_s, "series": series}))
+
     def slopes(self) -> Iterator[tuple[str, str, float, float, int]]:
-        """Yield what, of which, the last level, the slope per hour over the last two thirds, and how many values."""
+        """Yield what, of which, the last level, the slope per hour since `warm_s`, and how many values in all."""
         for (what, name), values in sorted(self.values.items()):
-            first = len(values) // 3
-            late = np.array(values[first:])
-            times_h = np.array(self.times_s[-len(values) :][first:]) / 3600.0
-            slope = float(np.polyfit(times_h - times_h[0], late, 1)[0]) if len(late) > 2 else math.nan
+            times_s = np.array(self.times_s[-len(values) :])
+            late = times_s >= self.warm_s
+            slope = math.nan
+            if late.sum() > 2:
+                slope = float(np.polyfit((times_s[late] - self.warm_s) / 3600.0, np.array(values)[late], 1)[0])
             yield what, name, values[-1], slope, len(values)
 
 
@@ -157,7 +171,7 @@ class Requester:
         self.bus.close()
 
 
-def soak(robots: int, minutes: float) -> int:
+def soak(robots: int, minutes: float, warm_up_minutes: float, series: Path | None = None) -> int:
     """Run once; print the table; return the exit code."""
     config = on_free_ports(
         SwarmConfig.model_validate({"robot": [{"id": f"r{k + 1}"} for k in range(robots)]}), prefer_configured=False
@@ -190,12 +204,16 @@ def soak(robots: int, minutes: float) -> int:
             page = Page(address.group())
             root = psutil.Process(process.pid)
             count = _processes(root)
-            timer = requester.runtime.every(1.0, requester.ask)
-            end_s = time.monotonic() + 60.0 * minutes
-            while time.monotonic() < end_s and process.poll() is None:
-                requester.runtime.run(SAMPLE_S)
-                samples.take(root, Path(folder.group(1)))
-            timer.cancel()
+            for rate_hz, for_minutes in ((WARM_UP_HZ, warm_up_minutes), (HZ, minutes)):
+                timer = requester.runtime.every(1.0 / rate_hz, requester.ask)
+                samples.warm_s = time.monotonic()
+                end_s = samples.warm_s + 60.0 * for_minutes
+                while time.monotonic() < end_s and process.poll() is None:
+                    requester.runtime.run(SAMPLE_S)
+                    samples.take(root, Path(folder.group(1)))
+                timer.cancel()
+            if series is not None:
+                samples.save(series)
             requester.runtime.run(ANSWERED_S)
             alive = _processes(root) if process.poll() is None else 0
             return report(samples, requester, page, robots, minutes, ended=count - alive)
@@ -240,8 +258,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--robots", type=int, default=16)
     parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--warm-up", type=float, default=42.0, help="minutes")
+    parser.add_argument("--series", type=Path, help="write all samples there as JSON")
     options = parser.parse_args()
-    return soak(options.robots, options.minutes)
+    return soak(options.robots, options.minutes, options.warm_up, options.series)
 
 
 if __name__ == "__main__":
