@@ -6,11 +6,9 @@ beside the law) and from the local database, where they can be changed while the
 
 from __future__ import annotations
 
-import functools
 import math
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -175,15 +173,9 @@ def all_records() -> dict[str, Table]:
 
 def _read(path: Path, hint: str) -> dict[str, Table]:
     try:
-        return deepcopy(_parsed(path.read_text(encoding="utf-8")))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(str(error), where=str(path), hint=hint) from error
-
-
-@functools.lru_cache(maxsize=4)
-def _parsed(text: str) -> dict[str, Table]:
-    """Return the tables of a text, for no one to change: parsing it again takes ten times as long as a copy."""
-    return tomllib.loads(text)
 
 
 def _check_all(names: Iterable[str], tables: Mapping[str, Any], path: Path) -> None:

@@ -56,8 +56,6 @@ class CoreNode:
         Nodes that run beside it (summarizers, performance node), already built; closed with this one.
     wall_s
         Time of day, seconds since 1970: agents compare theirs with it.
-    settings
-        Those of `store`, where they have been read already.
     """
 
     def __init__(
@@ -69,11 +67,10 @@ class CoreNode:
         process: str,
         extra: Iterable[Closing] = (),
         wall_s: Callable[[], float] = wall_time_s,
-        settings: Settings | None = None,
     ) -> None:
         self._bus, self._scheduler, self._keys, self._process = bus, scheduler, Keys(config.swarm), process
         keys, self._sequence = self._keys, 0
-        self.settings = settings or Settings(store, config)
+        self.settings = Settings(store, config)
         self.library = Library(store)
         self.roster = Roster(
             bus, keys, scheduler, config.robots, lambda: self.settings.presence_silence_s, process

@@ -75,28 +75,28 @@ def core(
     store : the database; None: the one that the fleet file names
     """
     from fullswarm.core.node import CoreNode
-    from fullswarm.core.settings import Settings
     from fullswarm.perf.performance_node import PerformanceNode
     from fullswarm.perf.summarizers import CoverageSummarizer, robot_summarizers
     from fullswarm.store import Store
 
     keys = Keys(config.swarm)
     store = store or Store(config.core.store, wall_s)
-    settings = Settings(store, config)
-
-    conditions = lambda: settings.performance  # noqa: E731
+    node: CoreNode  # made last, and used by what is made before it as soon as messages arrive
+    conditions = lambda: node.settings.performance  # noqa: E731
     extra: list[Node] = [CoverageSummarizer(bus, keys, scheduler, conditions)]
     extra += robot_summarizers(bus, keys, scheduler, conditions, config.robots, config.bounds_m)
     extra.append(PerformanceNode(bus, keys, scheduler, config.core.results))
-    if audit is None:
-        return [store, CoreNode(bus, scheduler, config, store, process, tuple(extra), wall_s, settings)]
-    from fullswarm.audit.log import AuditLog
-    from fullswarm.core.audit import AuditRecorder, noted_head
+    built: list[Node] = [store]
+    if audit is not None:
+        from fullswarm.audit.log import AuditLog
+        from fullswarm.core.audit import AuditRecorder, noted_head
 
-    log = AuditLog(audit, process, scheduler.now_s, wall_s, anchor=noted_head(store))
-    recorder = AuditRecorder(bus, keys, scheduler, log, store, process, lambda name: node.library.expires(name))
-    node = CoreNode(recorder.bus, scheduler, config, store, process, tuple(extra), wall_s, settings)
-    return [store, recorder, node]
+        log = AuditLog(audit, process, scheduler.now_s, wall_s, anchor=noted_head(store))
+        recorder = AuditRecorder(bus, keys, scheduler, log, store, process, lambda name: node.library.expires(name))
+        bus = recorder.bus
+        built.append(recorder)
+    node = CoreNode(bus, scheduler, config, store, process, tuple(extra), wall_s)
+    return [*built, node]
 
 
 def centralised(bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> CentralisedNode:

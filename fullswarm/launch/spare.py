@@ -1,8 +1,8 @@
 """A spare process: it has imported what the processes of a swarm need, and becomes one of them when that has died.
 
-Imports take most of a start: nearly a second of a processor, and several where sixteen agents share two of them. So do
-the command line's parser and the records of all behaviours, which it makes and reads as well. The supervisor keeps one
-spare; it waits for a line on its stdin that says what to become, and ends with its supervisor.
+Imports take most of a start: nearly a second of a processor, and several where sixteen agents share two of them. The
+rest is mostly the command line's parser and the search for other packages' behaviours, which it has done too. The
+supervisor keeps one spare; it waits for a line on its stdin that says what to become, and ends with its supervisor.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def _prepare() -> None:
         for each in config.robot:
             if not each.elsewhere:
                 registry.driver_class(driver_url(config, each))
-        import_module("fullswarm.core.behaviours").all_records()
+        registry.record_files()  # it keeps what it finds
     gc.collect()
     gc.freeze()  # else the process that it becomes looks through all of it once more
 

@@ -343,7 +343,7 @@ def _check_jump(trial: Trial, clock: JumpClock) -> str:
     trial.demand(
         trial.wait(trial.still, trial.settle_s, look), f"its readings still show motion {trial.settle_s} s after {what}"
     )
-    trial.demand(not again, f"it came to rest after {what}, and moves again without a command: {again and again[0]}")
+    trial.demand(not again, f"it came to rest after {what}, and moves again without a command: {again[:1]}")
     state, after = trial.state, trial.fresh().odometry
     gone_m = math.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
     most_m = 2.0 * trial.pace.linear_m_s * (SILENCE_S + trial.settle_s) + trial.pace.linear_m_s * trial.rig.ready_s
