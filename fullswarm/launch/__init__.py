@@ -9,7 +9,7 @@ In: a fleet file. Out: running processes, or a whole swarm in one process.
 ``world.py``        the node of the simulated world
 ``lockstep.py``     all nodes in one process on a simulated clock
 ``supervisor.py``   starts the processes of a fleet file, watches them, restarts them, ends them
-``spare.py``        a process that has imported everything, and becomes the next one that died
+``spare.py``        processes that have imported everything, and become the next ones that died
 ``journals.py``     builds a process's nodes with a journal, and builds them again of one
 ``run_folder.py``   folders of a run, which no other user may enter: made, removed after a crash; bounded logs
 ``liveness.py``     how each process shows its supervisor that its loop runs

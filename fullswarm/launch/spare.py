@@ -2,7 +2,7 @@
 
 Imports take most of a start: nearly a second of a processor, and several where sixteen agents share two of them. The
 rest is mostly the command line's parser and the search for other packages' behaviours, which it has done too. The
-supervisor keeps one spare; it waits for a line on its stdin that says what to become, and ends with its supervisor.
+supervisor keeps two; each waits for a line on its stdin that says what to become, and ends with its supervisor.
 """
 
 from __future__ import annotations

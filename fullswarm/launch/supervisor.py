@@ -8,6 +8,7 @@ suspended computer, or a supervisor that was stopped itself, finds no process fr
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import re
 import signal
@@ -55,8 +56,10 @@ END_S = 2.0
 LOG_BYTES = 4 * 2**20
 """A longer log of a process begins anew, and what it held is kept once."""
 LOGS_S = 1.0
-SPARE_FIRST_S, SPARE_NEXT_S = 15.0, 5.0
-"""A spare process is made so long after the start, and after another one was used: not while others come up."""
+SPARES = 2
+"""One may be used while the next is still being made: on a busy machine that takes several seconds."""
+SPARE_FIRST_S, SPARE_NEXT_S = 15.0, 2.0
+"""They are made so long after the start, and after another one was made or used: not while others come up."""
 SPARE_LOG = "spare.process.log"
 """No process is called so: names have no dots."""
 FROZEN: Literal["frozen"] = "frozen"
@@ -133,8 +136,8 @@ class Supervisor:
     _reported_s: float = -REPORT_S
     _watched_s: float = 0.0
     _run: RunFolder = field(default_factory=RunFolder)
-    _spare: Spare | None = None
-    _closed: bool = False
+    _spares: list[Spare] = field(default_factory=list)  # the oldest first
+    _spare_again_s: float = math.inf  # when the next one may be made
     folder: Path = field(init=False)
 
     def __post_init__(self) -> None:
@@ -168,7 +171,7 @@ class Supervisor:
         self.scheduler.every(WATCH_S, self._watch)
         self.scheduler.every(LOGS_S, self._bound_logs)
         if self.restart and self.develop is None:  # it would have imported what is then changed
-            self.scheduler.after(SPARE_FIRST_S, self._make_spare)
+            self._spare_again_s = self.scheduler.now_s() + SPARE_FIRST_S
 
     def add(self, name: str, *arguments: str, guest: bool = False) -> None:
         """Have another process of the ``fullswarm`` command beside the swarm's own; before :meth:`start`.
@@ -226,12 +229,10 @@ class Supervisor:
 
     def close(self) -> None:
         """End all: robots first, so that each stops its own wheels while the rest is still there. Remove the folder."""
-        self._closed = True
         if self._on_query is not None:
             self._on_query.close()
-        if self._spare is not None:
-            self._spare.close()
-            self._spare = None
+        while self._spares:
+            self._spares.pop().close()
         support = (RECORDER, "world", "centralised", "core", "hub")
         rest = [self.children[name] for name in support if name in self.children]
         console = [self.children[name] for name in (CONSOLE,) if name in self.children]  # nothing needs it
@@ -273,17 +274,21 @@ class Supervisor:
         log_file = self.log_file(child.name)
         data = self.output(child.name) if child.guest else log_file
         arguments = (*child.arguments, "--with-parent")
-        spare, self._spare = self._spare, None
-        if spare is not None:
-            self.scheduler.after(SPARE_NEXT_S, self._make_spare)
-        if spare is not None and spare.become(arguments, log_file, data):
-            child.process, child.pipe = spare.process, spare.pipe
-        else:
-            if spare is not None:
-                spare.close()
-            child.process, child.pipe = self._start(arguments, log_file, data)
+        spare = self._use_spare(arguments, log_file, data)
+        child.process, child.pipe = spare or self._start(arguments, log_file, data)
         child.starts += 1
         child.started_s = self.scheduler.now_s()
+
+    def _use_spare(
+        self, arguments: tuple[str, ...], log_file: Path, data: Path
+    ) -> tuple[subprocess.Popen[bytes], AlivePipe] | None:
+        while self._spares:
+            spare = self._spares.pop(0)
+            self._spare_again_s = self.scheduler.now_s() + SPARE_NEXT_S
+            if spare.become(arguments, log_file, data):
+                return spare.process, spare.pipe
+            spare.close()
+        return None
 
     def _start(
         self, arguments: tuple[str, ...], log_file: Path, data: Path
@@ -309,10 +314,6 @@ class Supervisor:
         if self.journals is not None:
             found[JOURNALS] = str(self.journals)
         return found
-
-    def _make_spare(self) -> None:
-        if self._spare is None and not self._closed:
-            self._spare = Spare(self._environment(), self.folder / SPARE_LOG)
 
     def _bound_logs(self) -> None:
         for child in self.children.values():
@@ -352,6 +353,9 @@ class Supervisor:
                 child.again_s = 0.0
                 child.backoff_s = min(2.0 * child.backoff_s, LAST_BACKOFF_S)
                 self._spawn(child)
+        if len(self._spares) < SPARES and now_s >= self._spare_again_s:
+            self._spares.append(Spare(self._environment(), self.folder / SPARE_LOG))
+            self._spare_again_s = now_s + SPARE_NEXT_S
         self._report(now_s)
 
     def _watch_loop(self, child: Child, process: subprocess.Popen[bytes], passed_s: float) -> None:

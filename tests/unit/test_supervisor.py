@@ -29,6 +29,7 @@ from fullswarm.launch.supervisor import (
     SILENT_S,
     SPARE_FIRST_S,
     SPARE_NEXT_S,
+    SPARES,
     STEADY_S,
     WATCH_S,
     Supervisor,
@@ -82,10 +83,12 @@ class Process:
     """A process that ends when it is told, with `code`; `born` is the code of those that end as they are started."""
 
     born: int | None = None
+    spares = 0  # how many were ever made
 
     def __init__(self, words: list[str], *_: Any, pass_fds: tuple[int, ...], **__: Any) -> None:
         self.code = Process.born
         self.is_spare = words[3] == "spare"
+        Process.spares += self.is_spare
         self.stdin = Told()
         self.alive = os.dup(pass_fds[0])  # it has an end of the pipe of its own
 
@@ -111,7 +114,7 @@ class Process:
 @pytest.fixture
 def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Runtime, Supervisor]]:
     monkeypatch.setattr(subprocess, "Popen", Process)
-    Process.born = None
+    Process.born, Process.spares = None, 0
     runtime = Runtime(SimClock())
     made = Supervisor(SwarmConfig(), runtime)
     made.start()
@@ -194,16 +197,40 @@ def test_a_process_that_died_is_followed_by_one_that_has_imported_all(watched: t
     assert hub_of(supervisor) is not second
 
 
-def test_two_that_die_at_once_are_both_started_again(watched: tuple[Runtime, Supervisor]) -> None:
+def test_spares_are_made_one_after_another_and_not_beside_one_that_comes_up(
+    watched: tuple[Runtime, Supervisor],
+) -> None:
     runtime, supervisor = watched
     runtime.run(SPARE_FIRST_S + 0.1)
-    names = ("hub", "core")
+    assert Process.spares == 1
+    runtime.run(SPARE_NEXT_S - 0.2)
+    assert Process.spares == 1
+    runtime.run(0.3)
+    assert Process.spares == SPARES
+    runtime.run(60.0)
+    assert Process.spares == SPARES
+    for name in ("hub", "core"):  # the second before there is another spare one
+        process: Any = supervisor.children[name].process
+        process.code = 1
+        runtime.run(SPARE_NEXT_S - WATCH_S - 0.1)
+        again: Any = supervisor.children[name].process
+        assert again.is_spare
+    runtime.run(2 * SPARE_NEXT_S + 0.3)
+    assert Process.spares == 2 + SPARES
+
+
+def test_more_that_die_at_once_than_there_are_spares_are_all_started_again(
+    watched: tuple[Runtime, Supervisor],
+) -> None:
+    runtime, supervisor = watched
+    runtime.run(SPARE_FIRST_S + SPARES * SPARE_NEXT_S)
+    names = ("hub", "core", "centralised")
     processes: list[Any] = [supervisor.children[name].process for name in names]
     for each in processes:
         each.code = 1
     runtime.run(WATCH_S)
     again: list[Any] = [supervisor.children[name].process for name in names]
-    assert [each.is_spare for each in again] == [True, False]
+    assert [each.is_spare for each in again] == [True, True, False]
     assert all(map(supervisor.alive, names))
 
 
