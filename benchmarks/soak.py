@@ -18,6 +18,7 @@ import argparse
 import contextlib
 import json
 import math
+import os
 import re
 import signal
 import subprocess
@@ -40,6 +41,7 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports
+from fullswarm.launch.processes import STATE
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
 from fullswarm.operator.view import FleetView
@@ -63,16 +65,18 @@ class Samples:
         self.values: dict[tuple[str, str], list[float]] = defaultdict(list)
         self.warm_s = math.inf
 
-    def take(self, root: psutil.Process, folder: Path) -> None:
-        """Read all processes below `root`, itself included, and the files of the run's folder."""
+    def take(self, root: psutil.Process, *folders: Path) -> None:
+        """Read all processes below `root`, itself included, and the files in the folders."""
         self.times_s.append(time.monotonic())
         for process in (root, *root.children(recursive=True)):
             with contextlib.suppress(psutil.NoSuchProcess):
                 name = _name(process.cmdline())
+                if name == "spare":  # they wait, and come and go
+                    continue
                 self.values["memory MB", name].append(process.memory_info().rss / MB)
                 self.values["descriptors", name].append(process.num_fds())
                 self.values["threads", name].append(process.num_threads())
-        files = [each for each in folder.rglob("*") if each.is_file()]
+        files = [each for folder in folders for each in folder.rglob("*") if each.is_file()]
         databases = [each for each in files if ".db" in each.name]
         audit = [each for each in files if "audit" in each.parts]
         logs = [each for each in files if each not in audit and (".log" in each.name or ".out" in each.name)]
@@ -97,7 +101,7 @@ class Samples:
 
 
 def _processes(root: psutil.Process) -> int:
-    """Return how many there are, but for the spare one, which comes and goes."""
+    """Return how many there are, but for the spare ones, which come and go."""
     return sum(_name(each.cmdline()) != "spare" for each in root.children(recursive=True))
 
 
@@ -183,8 +187,12 @@ def soak(robots: int, minutes: float, warm_up_minutes: float, series: Path | Non
             f"bounds_m = [0, 0, 30, 30]\n[fleet]\ncount = {robots}\n"
         )
         stderr = (Path(scratch) / "up.err").open("w+")
+        state = Path(scratch) / "state"
         process = subprocess.Popen(
-            [sys.executable, "-m", "fullswarm", "up", str(file), "--console"], stderr=stderr, stdout=stderr
+            [sys.executable, "-m", "fullswarm", "up", str(file), "--console"],
+            stderr=stderr,
+            stdout=stderr,
+            env={**os.environ, STATE: str(state)},
         )
         requester = Requester(config)
         samples, page = Samples(), None
@@ -210,7 +218,7 @@ def soak(robots: int, minutes: float, warm_up_minutes: float, series: Path | Non
                 end_s = samples.warm_s + 60.0 * for_minutes
                 while time.monotonic() < end_s and process.poll() is None:
                     requester.runtime.run(SAMPLE_S)
-                    samples.take(root, Path(folder.group(1)))
+                    samples.take(root, Path(folder.group(1)), state)
                 timer.cancel()
             if series is not None:
                 samples.save(series)

@@ -26,6 +26,7 @@ Further files:
 ``files.py``       Replaces files in one step: a reader finds the old content or the new one; a disk that may fail
 ``fitness.py``     Decides whether a robot is fit for a request: capabilities, limits, make, charge
 ``geometry.py``    Angles, the unicycle map and frame changes
+``heap.py``        The heap of a process that runs for weeks: free memory goes back to the system
 ``identity/``      Who a process is on the bus: roles, certificates, and which of them are valid
 ``kernels.py``     Kernels: small loops over arrays that run as plain Python on a robot and compiled in a lockstep
                    trial

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import importlib.util
 import signal
 import socket
@@ -22,6 +21,7 @@ from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import MissingExtra
+from fullswarm.heap import settle
 from fullswarm.keys import Keys
 from fullswarm.launch.nodes import Node
 from fullswarm.operator.console.serve import OUTSIDE, RuntimeLoop, bind, end_on_signals, own_address, parse_listen
@@ -137,8 +137,7 @@ async def _serve(
     ended_by = end_on_signals(loop, server)
     loop.call_soon(on_start)
     loop.call_soon(runtime_loop.wake)
-    gc.collect()
-    gc.freeze()  # what is built once need not be collected, which would cost 20 ms each time
+    settle(runtime)
     try:
         await server.serve([listener])
     finally:

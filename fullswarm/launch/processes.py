@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import re
 import signal
@@ -21,6 +20,7 @@ from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames, in_frame
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.heap import settle
 from fullswarm.identity import Role
 from fullswarm.keys import Keys
 from fullswarm.launch.liveness import report_alive
@@ -381,8 +381,7 @@ def serve(runtime: Runtime, nodes: Iterable[Node], with_parent: bool) -> int:
 
         runtime.every(PARENT_CHECK_S, leave_with_parent)
         report_alive(runtime)
-    gc.collect()
-    gc.freeze()  # what is built once need not be collected, which would cost 20 ms each time
+    settle(runtime)
     try:
         runtime.run()
     finally:

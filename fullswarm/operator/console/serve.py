@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import importlib
 import ipaddress
 import json
@@ -27,6 +26,7 @@ from fullswarm.bus.renewal import renew_later
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
+from fullswarm.heap import settle
 from fullswarm.keys import Keys
 from fullswarm.operator.console.tokens import Doorkeeper, TokenFile, check_private
 from fullswarm.operator.session import Target
@@ -238,8 +238,7 @@ async def _serve(
         address = url(host, port, token, options.allow_hosts)
         loop.call_soon(on_start, address, runtime, lambda: setattr(server, "should_exit", True))
         loop.call_soon(runtime_loop.wake)
-        gc.collect()
-        gc.freeze()  # what is built once need not be collected, least of all at the end, which would take longest
+        settle(runtime)
         await server.serve([listener])
         if api is not None:
             api.close()
