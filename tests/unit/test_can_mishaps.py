@@ -6,6 +6,7 @@ import pytest
 
 from fullswarm.drivers.base import Hazard, Lifecycle, Twist
 from fullswarm.drivers.can import odrive
+from fullswarm.drivers.can.protocol import Frame
 from tests.unit.can_rig import Rig
 
 
@@ -165,3 +166,30 @@ def test_an_05_axis_watchdog_is_fed_by_any_frame_an_06_one_by_set_points() -> No
             rig.step()
             rig.step()
         assert rig.idle() is not holds
+
+
+@pytest.mark.parametrize("make", ["odrive", "vesc"])
+@pytest.mark.parametrize("away_s", [0.3, 0.46, 0.48, 0.5, 0.52, 1.0])
+@pytest.mark.parametrize("cut", [0, 1])
+def test_a_bus_that_comes_back_turns_no_robot_that_drove_straight_on(make: str, away_s: float, cut: int) -> None:
+    """The frame of one wheel was cut: the other has reported once more, and is heard first or last afterwards."""
+    rig = Rig(make)
+    rig.active(Twist(0.45, 0.0))
+    codec, take = rig.session.axes[cut].codec, rig.session.received
+    headings: list[float] = []
+
+    def received(chunk: Frame, now_s: float) -> None:
+        take(chunk, now_s)
+        headings.append(rig.reading.odometry.heading_rad)
+
+    rig.session.received = lambda chunk, now_s: None if codec.decode(chunk) else received(chunk, now_s)  # type: ignore[method-assign]
+    rig.run(0.025)
+    rig.session.lost("the adapter is gone", rig.now)
+    rig.link = False
+    rig.run(away_s)
+    rig.link = True
+    rig.session.linked(rig.now)
+    rig.session.received = received  # type: ignore[method-assign]
+    rig.run(0.5)
+    assert len(headings) > 10
+    assert max(map(abs, headings)) < 0.1

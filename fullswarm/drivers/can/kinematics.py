@@ -70,6 +70,11 @@ class WheelTrack:
         self.seen_s = now_s
         self.fresh = True
 
+    def restart(self) -> None:
+        """Have the count start anew with the next message."""
+        self.seen_s = self._count_s = -math.inf
+        self.fresh = False
+
     def travelled_at(self, now_s: float) -> float:
         """Return the distance at `now_s`, a moment after the last message.
 
@@ -102,6 +107,14 @@ class Odometry:
         """Return the measured body velocity."""
         left, right = self.wheels
         return body_twist(left.speed_m_s, right.speed_m_s, self._base_m)
+
+    def restart(self) -> None:
+        """Have both counts start anew: how far the wheels have gone while they were not heard is unknown.
+
+        Of two that fell silent one after the other, one could count its whole way and the other nothing: a turn.
+        """
+        for wheel in self.wheels:
+            wheel.restart()
 
     def update(self, side: int, motion: Motion, now_s: float) -> bool:
         """Take in a message of wheel `side` (0 left, 1 right); True when the pose was stepped."""

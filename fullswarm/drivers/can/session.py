@@ -201,6 +201,7 @@ class Session(LinkSession[Frame]):
             self._trip(reason, now_s)
         self._bus_up = False
         self.fault = f"{reason}; before that: {self._latched}" if self._latched else reason
+        self._odometry.restart()
         for axis in self.axes:
             axis.forget()
 
