@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -116,6 +118,34 @@ def test_packets_in_poses_out(scheme: str, make: Make, per_m: float, y_up: bool,
         assert later is None or not later.tracked
     finally:
         source.close()
+        server.close()
+
+
+@pytest.mark.parametrize("size", [1, 7, 1_000])
+def test_what_a_vicon_client_wants_may_arrive_joined_or_in_parts(size: int) -> None:
+    """Recorded of libmotioncapture: objects without segments, a second packet, and then with segments."""
+    said = bytes.fromhex(
+        "01002b1a18000000a18601001000000003000000010000000200000005000000"
+        "01002b1a09000000a28601000100000001"
+        "01002b1a2c000000a18601001400000004000000010000000200000005000000090000002a000000080000000100000000000000"
+    )
+    server = ViconServer(NAMES, port=0)
+    server.start()
+    try:
+        with socket.create_connection(("127.0.0.1", server.port)) as client:
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            client.settimeout(0.05)
+            for start in range(0, len(said), size):
+                client.sendall(said[start : start + size])
+            got = bytearray()
+
+            def read() -> None:
+                server.frame([Shown(NAMES[1], (12_345.678, 0.0, 0.0))])
+                with contextlib.suppress(TimeoutError):
+                    got.extend(client.recv(65_536))
+
+            wait_for(lambda: struct.pack("<d", 12_345.678) in got, read)
+    finally:
         server.close()
 
 

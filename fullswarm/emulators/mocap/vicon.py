@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterable, Sequence
-from struct import pack, unpack_from
+from struct import iter_unpack, pack, unpack_from
 
 from fullswarm.emulators.mocap.server import Shown, StreamServer
 
@@ -24,6 +24,7 @@ class ViconServer(StreamServer):
     def __init__(self, names: Sequence[str], host: str = "127.0.0.1", port: int = 801) -> None:
         super().__init__(names, host, port)
         self._wanted: dict[socket.socket, frozenset[int]] = {}
+        self._heard: dict[socket.socket, bytes] = {}
         self._number = 0
 
     def greet(self, client: socket.socket) -> None:
@@ -31,14 +32,18 @@ class ViconServer(StreamServer):
         client.sendall(_block(OBJECTS, _block(OBJECT_ENUMS, pack(f"<I{len(OFFERED)}i", len(OFFERED), *OFFERED))))
 
     def hear(self, client: socket.socket, data: bytes) -> None:
-        """Note which objects the client wants; it sends them in one packet."""
-        if len(data) >= 20 and unpack_from("<i4xi", data) == (OBJECTS, OBJECT_ENUMS):
-            (count,) = unpack_from("<I", data, 16)
-            self._wanted[client] = frozenset(unpack_from(f"<{count}i", data, 20))
+        """Note which objects the client wants: it says so more than once, and packets arrive joined or in parts."""
+        packets, self._heard[client] = _blocks(self._heard.get(client, b"") + data)
+        for kind, packet in packets:
+            for part, content in _blocks(packet)[0] if kind == OBJECTS else ():
+                if part == OBJECT_ENUMS:
+                    numbers = iter_unpack("<i", content[4 : len(content) // 4 * 4])  # the count stands before them
+                    self._wanted[client] = frozenset(number for (number,) in numbers)
 
     def drop(self, gone: socket.socket) -> None:
         """Forget a client."""
         self._wanted.pop(gone, None)
+        self._heard.pop(gone, None)
         super().drop(gone)
 
     def send(self, bodies: Sequence[Shown], time_s: float) -> None:
@@ -84,3 +89,15 @@ def _vector(items: Iterable[bytes]) -> bytes:
 
 def _block(kind: int, content: bytes) -> bytes:
     return pack("<iI", kind, len(content)) + content
+
+
+def _blocks(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
+    """Return the whole blocks in `data`, as kind and content, and the rest."""
+    found = []
+    while len(data) >= 8:
+        kind, size = unpack_from("<iI", data)
+        if len(data) < 8 + size:
+            break
+        found.append((kind, data[8 : 8 + size]))
+        data = data[8 + size :]
+    return found, data
