@@ -99,6 +99,7 @@ def test_a_reboot_in_mid_drive_ends_ready(make: str) -> None:
     assert rig.state() is Lifecycle.READY
     assert rig.speeds() == [0.0, 0.0]
     assert rig.reading.odometry.x_m - before_m < 0.1  # the counts began anew, the pose did not
+    assert rig.reading.odometry_breaks > 0
 
 
 @pytest.mark.parametrize("make", ["odrive", "vesc"])
@@ -193,3 +194,32 @@ def test_a_bus_that_comes_back_turns_no_robot_that_drove_straight_on(make: str, 
     rig.run(0.5)
     assert len(headings) > 10
     assert max(map(abs, headings)) < 0.1
+    assert rig.reading.odometry_breaks == 1
+    rig.run(1.0)
+    assert rig.reading.odometry_breaks == 1
+
+
+@pytest.mark.parametrize("make", ["odrive", "vesc"])
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("away_s", [0.3, 0.6, 1.5])
+def test_a_wheel_that_falls_silent_alone_turns_no_robot_that_drove_straight_on(
+    make: str, side: int, away_s: float
+) -> None:
+    rig = Rig(make)
+    rig.active(Twist(0.45, 0.0))
+    codec, take, before_m = rig.session.axes[side].codec, rig.session.received, rig.rolled()[0]
+    assert rig.reading.odometry_breaks == 0
+
+    def received(chunk: Frame, now_s: float) -> None:
+        if codec.decode(chunk) is None:
+            take(chunk, now_s)
+
+    rig.session.received = received  # type: ignore[method-assign]
+    rig.run(away_s)
+    rig.session.received = take  # type: ignore[method-assign]
+    rig.run(0.5)
+    reading, went_m = rig.reading, rig.rolled()[0] - before_m
+    assert abs(reading.odometry.heading_rad) < 0.1
+    # Either all of the way was counted, or it is said that a part of it may be missing.
+    assert (reading.odometry_breaks == 0) is (reading.odometry.x_m - before_m > went_m - 0.05)
+    assert (reading.odometry_breaks == 0) is (away_s < 0.5)

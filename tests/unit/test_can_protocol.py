@@ -282,7 +282,9 @@ def test_a_restarted_controller_does_not_move_the_robot() -> None:
     for step in range(101):
         track.update(Motion(0.5, 40.0 + 0.005 * step), 0.01 * step)
     assert track.travelled_m == pytest.approx(0.5)
+    lost = track.lost
     track.update(Motion(0.0, 0.0), 1.01)
+    assert (lost, track.lost) == (False, True)
     track.update(Motion(0.5, 0.005), 1.02)
     assert track.travelled_m == pytest.approx(0.505)
 

@@ -50,6 +50,7 @@ class WheelTrack:
     _count_s: float = -math.inf  # … when that was …
     _at_count_m: float = 0.0  # … and `travelled_m` there
     fresh: bool = False  # something has come since the pose was stepped
+    lost: bool = False  # it may have moved further than `travelled_m` says since then
     _still_s: float = math.inf  # since when it has reported a speed without counting
 
     def update(self, motion: Motion, now_s: float) -> None:
@@ -57,6 +58,7 @@ class WheelTrack:
         if motion.speed_m_s is not None and abs(motion.speed_m_s) > self.limit_m_s:
             return
         gap_s = now_s - self.seen_s
+        self.lost = self.lost or GAP_S <= gap_s < math.inf
         if motion.distance_m is not None:
             if motion.distance_m != self._count_m or abs(self.speed_m_s) < CREEP_M_S:
                 self._still_s = math.inf
@@ -70,10 +72,10 @@ class WheelTrack:
         self.seen_s = now_s
         self.fresh = True
 
-    def restart(self) -> None:
-        """Have the count start anew with the next message."""
+    def interrupt(self) -> None:
+        """Note that nothing is heard of it for a while; its count starts anew."""
+        self.fresh, self.lost = False, self.lost or math.isfinite(self.seen_s)
         self.seen_s = self._count_s = -math.inf
-        self.fresh = False
 
     def travelled_at(self, now_s: float) -> float:
         """Return the distance at `now_s`, a moment after the last message.
@@ -88,18 +90,25 @@ class WheelTrack:
 
     def _count(self, count_m: float, now_s: float) -> None:
         elapsed_s, step_m = now_s - self._count_s, count_m - self._count_m
-        if elapsed_s < GAP_S and abs(step_m) <= self.limit_m_s * elapsed_s + SLACK_M:
+        if abs(step_m) > self.limit_m_s * elapsed_s + SLACK_M:
+            self.lost = True
+        elif elapsed_s < GAP_S:
             self.travelled_m = self._at_count_m + step_m
         self._count_m, self._count_s, self._at_count_m = count_m, now_s, self.travelled_m
 
 
 class Odometry:
-    """Pose since the start, stepped whenever both wheels have reported something new."""
+    """Pose since the start, stepped whenever both wheels have reported something new.
+
+    When one wheel may have moved unseen, the pose stays for that step: of two wheels that fell silent one after the
+    other, one could count its whole way and the other nothing, which would be a turn. `breaks` counts such steps.
+    """
 
     def __init__(self, base_m: float, limit_m_s: float) -> None:
         self._base_m = base_m
         self.wheels = (WheelTrack(limit_m_s), WheelTrack(limit_m_s))
         self.pose = Pose(0.0, 0.0, 0.0)
+        self.breaks = 0
         self._before = (0.0, 0.0)
 
     @property
@@ -108,16 +117,13 @@ class Odometry:
         left, right = self.wheels
         return body_twist(left.speed_m_s, right.speed_m_s, self._base_m)
 
-    def restart(self) -> None:
-        """Have both counts start anew: how far the wheels have gone while they were not heard is unknown.
-
-        Of two that fell silent one after the other, one could count its whole way and the other nothing: a turn.
-        """
+    def interrupt(self) -> None:
+        """Note that neither wheel is heard for a while: how far they go meanwhile is unknown."""
         for wheel in self.wheels:
-            wheel.restart()
+            wheel.interrupt()
 
     def update(self, side: int, motion: Motion, now_s: float) -> bool:
-        """Take in a message of wheel `side` (0 left, 1 right); True when the pose was stepped."""
+        """Take in a message of wheel `side` (0 left, 1 right); True when the pose is that of now."""
         self.wheels[side].update(motion, now_s)
         left, right = self.wheels
         if not (left.fresh and right.fresh):
@@ -125,7 +131,11 @@ class Odometry:
         here = (left.travelled_at(now_s), right.travelled_at(now_s))
         step_left, step_right = here[0] - self._before[0], here[1] - self._before[1]
         self._before = here
-        left.fresh = right.fresh = False
+        broken = left.lost or right.lost
+        left.fresh = right.fresh = left.lost = right.lost = False
+        if broken:
+            self.breaks += 1
+            return True
         forward_m, turn_rad = (step_left + step_right) / 2.0, (step_right - step_left) / self._base_m
         middle_rad = self.pose.heading_rad + turn_rad / 2.0
         self.pose = Pose(

@@ -201,7 +201,7 @@ class Session(LinkSession[Frame]):
             self._trip(reason, now_s)
         self._bus_up = False
         self.fault = f"{reason}; before that: {self._latched}" if self._latched else reason
-        self._odometry.restart()
+        self._odometry.interrupt()
         for axis in self.axes:
             axis.forget()
 
@@ -238,7 +238,8 @@ class Session(LinkSession[Frame]):
         battery = self._battery()
         if battery is not None and battery < BATTERY_LOW:
             hazards |= Hazard.BATTERY_LOW
-        return Reading(now_s, self._odometry.pose, self._odometry.twist, hazards=hazards, battery=battery)
+        odometry = self._odometry
+        return Reading(now_s, odometry.pose, odometry.twist, odometry.breaks, hazards=hazards, battery=battery)
 
     def _battery(self) -> float | None:
         """Return how full it is by the lower of the two voltages."""
