@@ -145,6 +145,7 @@ def test_what_a_vicon_client_wants_may_arrive_joined_or_in_parts(size: int) -> N
                     got.extend(client.recv(65_536))
 
             wait_for(lambda: struct.pack("<d", 12_345.678) in got, read)
+            assert NAMES[1].encode() in got, "the subjects, which it asked for in the first packet already"
     finally:
         server.close()
 

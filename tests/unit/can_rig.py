@@ -44,6 +44,7 @@ class Rig:
         self.open(self.settings)
         self.sent: list[tuple[float, Frame]] = []
         self.link = True
+        self.unheard: set[int] = set()  # sides of wheels whose frames do not arrive
         self.twist: Twist | None = None
         self.applied = STAND
         self._step = 0
@@ -84,8 +85,10 @@ class Rig:
         if not self.link:
             self.wire.clear()
             return
+        lost = [self.session.axes[side].codec for side in self.unheard]
         for frame in self.wire:
-            self.session.received(frame, self.now)
+            if all(codec.decode(frame) is None for codec in lost):
+                self.session.received(frame, self.now)
         self.wire.clear()
         if self.twist is not None and self._step % 4 == 0:
             self.applied = self.gate.command(self.twist, self.now)

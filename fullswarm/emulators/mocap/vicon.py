@@ -24,7 +24,7 @@ class ViconServer(StreamServer):
     def __init__(self, names: Sequence[str], host: str = "127.0.0.1", port: int = 801) -> None:
         super().__init__(names, host, port)
         self._wanted: dict[socket.socket, frozenset[int]] = {}
-        self._heard: dict[socket.socket, bytes] = {}
+        self._said: dict[socket.socket, bytes] = {}
         self._number = 0
 
     def greet(self, client: socket.socket) -> None:
@@ -33,7 +33,7 @@ class ViconServer(StreamServer):
 
     def hear(self, client: socket.socket, data: bytes) -> None:
         """Note which objects the client wants: it says so more than once, and packets arrive joined or in parts."""
-        packets, self._heard[client] = _blocks(self._heard.get(client, b"") + data)
+        packets, self._said[client] = _blocks(self._said.get(client, b"") + data)
         for kind, packet in packets:
             for part, content in _blocks(packet)[0] if kind == OBJECTS else ():
                 if part == OBJECT_ENUMS:
@@ -43,7 +43,7 @@ class ViconServer(StreamServer):
     def drop(self, gone: socket.socket) -> None:
         """Forget a client."""
         self._wanted.pop(gone, None)
-        self._heard.pop(gone, None)
+        self._said.pop(gone, None)
         super().drop(gone)
 
     def send(self, bodies: Sequence[Shown], time_s: float) -> None:
